@@ -1,0 +1,229 @@
+"""The manifest of a session, schema version 1: what was photographed, with what, and where it stood.
+
+This module is the only place that parses a manifest. ``docs/reference/session-format.md`` describes the same fields in
+words. Lengths are millimetres, angles degrees only where a name says so; axes are unit vectors in the frame of the
+display poses (right-handed).
+"""
+
+from typing import Annotated, Literal
+
+import numpy as np
+from pydantic import BaseModel, ConfigDict, Field, model_validator
+
+SCHEMA_VERSION = 1
+
+Finite = Annotated[float, Field(allow_inf_nan=False)]
+Positive = Annotated[float, Field(gt=0, allow_inf_nan=False)]
+Index = Annotated[float, Field(ge=1.0, le=4.0, allow_inf_nan=False)]
+Vector = tuple[Finite, Finite, Finite]
+Axis = Literal["x", "y"]
+Condition = Literal["air", "liquid", "with", "without"]
+
+# Unit vectors written by hand carry three or four digits.
+AXIS_TOLERANCE = 1e-3
+
+
+class Part(BaseModel):
+    """Common behaviour of every part: unchangeable, and no field that we do not know."""
+
+    model_config = ConfigDict(frozen=True, extra="forbid")
+
+
+class Pose(Part):
+    """Where a flat screen (or the camera) stands: its centre and the directions of its x and y axes."""
+
+    centre_mm: Vector
+    x_axis: Vector
+    y_axis: Vector
+
+    @model_validator(mode="after")
+    def _axes_are_orthonormal(self) -> "Pose":
+        x, y = np.array(self.x_axis), np.array(self.y_axis)
+        for name, axis in (("x_axis", x), ("y_axis", y)):
+            if abs(np.linalg.norm(axis) - 1) > AXIS_TOLERANCE:
+                raise ValueError(f"{name} has length {np.linalg.norm(axis):.4f}, it must be 1")
+        if abs(float(x @ y)) > AXIS_TOLERANCE:
+            raise ValueError("x_axis and y_axis must be at right angles")
+        return self
+
+    def world_from_screen(self) -> np.ndarray:
+        """Return the 4 by 4 matrix that takes screen coordinates (x, y, 0) in mm to the world.
+
+        The third column, x × y, points away from the viewer: into the screen, or forward from the camera.
+        """
+        x = np.array(self.x_axis) / np.linalg.norm(self.x_axis)
+        z = np.cross(x, self.y_axis)
+        z /= np.linalg.norm(z)
+        world_from_screen = np.eye(4)
+        world_from_screen[:3, :4] = np.column_stack([x, np.cross(z, x), z, self.centre_mm])
+        return world_from_screen
+
+
+class ScannedObject(Part):
+    """The transparent object. Its index is needed only for the thin-object method."""
+
+    name: str
+    n: Index | None = None
+    note: str = ""
+
+
+class Liquid(Part):
+    """What the tank is filled with, and its refractive index at the colour of the stripe."""
+
+    name: str = "water"
+    n: Index
+    temperature_c: Finite | None = None
+
+
+class CoverGlass(Part):
+    """A plane sheet between the display's pixels and the tank."""
+
+    thickness_mm: Positive
+    n: Index
+
+
+class DisplayPanel(Part):
+    """The display: device pixels, their pitch, and what covers them."""
+
+    columns: Annotated[int, Field(gt=0)]
+    rows: Annotated[int, Field(gt=0)]
+    pitch_mm: Positive
+    primary: Literal["white", "red", "green", "blue"] = "white"
+    cover_glass: CoverGlass | None = None
+
+
+class Intrinsics(Part):
+    """Pinhole camera in pixels with OpenCV's distortion (k1, k2, p1, p2, k3)."""
+
+    focal_x_px: Positive
+    focal_y_px: Positive
+    centre_x_px: Finite
+    centre_y_px: Finite
+    distortion: tuple[Finite, ...] = ()
+
+
+class CameraBody(Part):
+    """The camera: the size of its photos, and where it stands if that is known."""
+
+    columns: Annotated[int, Field(gt=0)]
+    rows: Annotated[int, Field(gt=0)]
+    model: str = ""
+    pose: Pose | None = None
+    intrinsics: Intrinsics | None = None
+    settings: dict[str, str] = {}
+
+
+class StripePattern(Part):
+    """A bright stripe on black that is moved step by step along one axis of the display.
+
+    ``hard``: ``width_px`` device pixels fully lit, sharp edges. ``raised_cosine``: ½(1 + cos 2πd/width_px) for |d| < width_px/2.
+    Stripe number k is centred at ``first_px + k * step_px`` (device pixels; pixel 0's centre is 0).
+    """
+
+    kind: Literal["stripe"] = "stripe"
+    profile: Literal["hard", "raised_cosine"]
+    width_px: Positive
+    first_px: Finite
+    step_px: Positive
+    count: Annotated[int, Field(ge=3)]
+
+
+class Sweep(Part):
+    """One pattern moved along one axis; its photos are ``photos/<set>/<axis>/NNNN.<suffix>``."""
+
+    axis: Axis
+    pattern: StripePattern
+
+
+class CaptureSet(Part):
+    """One place of the display in one condition, with a sweep along x and one along y.
+
+    ``pose`` replaces the pose of the position where the display was measured again for this set.
+    """
+
+    position: Literal[0, 1]
+    condition: Condition
+    sweeps: tuple[Sweep, Sweep]
+    pose: Pose | None = None
+
+    @property
+    def name(self) -> str:
+        """Folder and journal name, such as ``pos0_air``."""
+        return f"pos{self.position}_{self.condition}"
+
+    @model_validator(mode="after")
+    def _one_sweep_an_axis(self) -> "CaptureSet":
+        if {sweep.axis for sweep in self.sweeps} != {"x", "y"}:
+            raise ValueError("a set needs one sweep along x and one along y")
+        return self
+
+    def sweep(self, axis: Axis) -> Sweep:
+        """Return the sweep along ``axis``."""
+        return next(sweep for sweep in self.sweeps if sweep.axis == axis)
+
+
+class DeviceRecord(Part):
+    """Which device took part, and whether it was real."""
+
+    kind: Literal["real", "simulated", "emulated", "unknown"]
+    model: str = ""
+    address: str = ""
+    version: str = ""
+
+
+class Provenance(Part):
+    """Where the session comes from: software versions, devices, configuration, and a word of explanation."""
+
+    software: dict[str, str] = {}
+    devices: dict[str, DeviceRecord] = {}
+    configuration: dict[str, object] = {}
+    note: str = ""
+
+
+class Manifest(Part):
+    """All that a session's photos mean."""
+
+    schema_version: Literal[1]
+    name: str
+    created: str
+    method: Literal["liquid", "thin"]
+    object: ScannedObject
+    n_air: Index = 1.0
+    liquid: Liquid | None = None
+    length_unit: Literal["mm", "scene unit"] = "mm"
+    display: DisplayPanel
+    display_poses: tuple[Pose, Pose]
+    camera: CameraBody
+    sets: tuple[CaptureSet, CaptureSet, CaptureSet, CaptureSet]
+    mask: str | None = None
+    provenance: Provenance = Provenance()
+
+    @model_validator(mode="after")
+    def _four_sets_of_the_method(self) -> "Manifest":
+        conditions = ("air", "liquid") if self.method == "liquid" else ("without", "with")
+        wanted = {f"pos{position}_{condition}" for position in (0, 1) for condition in conditions}
+        found = {capture_set.name for capture_set in self.sets}
+        if found != wanted:
+            raise ValueError(f"method {self.method!r} needs the sets {sorted(wanted)}, found {sorted(found)}")
+        if self.method == "liquid" and self.liquid is None:
+            raise ValueError("method 'liquid' needs the liquid and its index")
+        if self.method == "thin" and self.object.n is None:
+            raise ValueError("method 'thin' needs the object's index (object.n)")
+        return self
+
+    @model_validator(mode="after")
+    def _poses_differ(self) -> "Manifest":
+        first, second = (np.array(pose.centre_mm) for pose in self.display_poses)
+        if np.linalg.norm(first - second) < self.display.pitch_mm:
+            raise ValueError(
+                "the two display positions coincide (less than one display pixel apart); the display must stand at two places"
+            )
+        return self
+
+    def set_named(self, name: str) -> CaptureSet:
+        """Return the capture set with this name."""
+        return next(capture_set for capture_set in self.sets if capture_set.name == name)
+
+    def pose_of(self, capture_set: CaptureSet) -> Pose:
+        """Return where the display stood in this set."""
+        return capture_set.pose or self.display_poses[capture_set.position]

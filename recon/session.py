@@ -1,0 +1,198 @@
+"""A session on disk: a folder that a person can read.
+
+::
+
+    SESSION/manifest.json            what the photos mean (``manifest.py``), written once
+    SESSION/journal.jsonl            what happened, one line an event, append only (``journal.py``)
+    SESSION/photos/SET/AXIS/0000.jpg the sweeps, as the camera gave them
+    SESSION/photos/SET/white.jpg     whole display lit; likewise black.jpg
+    SESSION/truth.npz                only in simulations, read by nothing but evaluation
+
+A photo is written under a temporary name, flushed and renamed before its journal line is written, so that a
+line never names a photo that is not whole.
+"""
+
+import hashlib
+import json
+import os
+from collections.abc import Mapping
+from dataclasses import dataclass
+from pathlib import Path, PurePosixPath
+from types import TracebackType
+from typing import Any, Self
+
+from pydantic import ValidationError
+
+from recon.errors import SessionError
+from recon.journal import JOURNAL_NAME, JournalWriter, PhotoRecord, now_text, read_photos
+from recon.manifest import SCHEMA_VERSION, Manifest
+
+MANIFEST_NAME = "manifest.json"
+TRUTH_NAME = "truth.npz"
+
+
+def photo_path(set_name: str, sweep: str, index: int, suffix: str) -> str:
+    """Return a photo's place inside the session, with forward slashes."""
+    if sweep in ("x", "y"):
+        return f"photos/{set_name}/{sweep}/{index:04d}{suffix}"
+    numbered = "" if sweep in ("white", "black") else f"_{index:04d}"
+    return f"photos/{set_name}/{sweep}{numbered}{suffix}"
+
+
+def check_inside(relative: str, *, what: str) -> None:
+    """Refuse a path that is absolute or climbs out of the session's folder."""
+    path = PurePosixPath(relative)
+    if path.is_absolute() or ".." in path.parts or "\\" in relative or ":" in relative:
+        raise SessionError(f"{what}: {relative!r} must be a path inside the session, without '..'")
+
+
+def parse_manifest(text: str, *, source: str) -> Manifest:
+    """Read a manifest, or say in one sentence what is wrong with its first bad field."""
+    try:
+        data = json.loads(text)
+    except ValueError as error:
+        raise SessionError(f"{source}: not JSON ({error})") from None
+    version = data.get("schema_version") if isinstance(data, dict) else None
+    if version != SCHEMA_VERSION:
+        raise SessionError(
+            f"{source}: schema_version is {version!r}, this program reads {SCHEMA_VERSION}; "
+            "use the version of the program that wrote the session, or correct the field"
+        )
+    try:
+        manifest = Manifest.model_validate(data)
+    except ValidationError as error:
+        first = error.errors()[0]
+        where = ".".join(str(part) for part in first["loc"]) or "manifest"
+        raise SessionError(f"{source}: {where}: {first['msg'].removeprefix('Value error, ')}") from None
+    if manifest.mask is not None:
+        check_inside(manifest.mask, what=f"{source}: mask")
+    return manifest
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Session:
+    """A saved session, opened for reading: its manifest and the photos that the journal vouches for."""
+
+    folder: Path
+    manifest: Manifest
+    photos: Mapping[tuple[str, str, int], PhotoRecord]
+
+    def photo_file(self, set_name: str, sweep: str, index: int = 0) -> Path:
+        """Return the path of a photo, or say which one is missing."""
+        record = self.photos.get((set_name, sweep, index))
+        if record is None:
+            raise SessionError(
+                f"{self.folder}: the journal has no photo {index} of {set_name}/{sweep}; "
+                "resume the capture or take the photo again"
+            )
+        return self.folder / record.file
+
+
+def open_session(folder: Path) -> Session:
+    """Open a session for reading; every fault found on the way is a one-sentence ``SessionError``."""
+    if not folder.is_dir():
+        raise SessionError(f"{folder}: no such folder; give the folder of a session")
+    source = folder / MANIFEST_NAME
+    try:
+        text = source.read_text(encoding="utf-8")
+    except FileNotFoundError:
+        raise SessionError(f"{folder}: no {MANIFEST_NAME} here; is this the folder of a session?") from None
+    except (OSError, UnicodeDecodeError) as error:
+        raise SessionError(f"{source}: cannot be read ({error})") from None
+    manifest = parse_manifest(text, source=str(source))
+    photos: dict[tuple[str, str, int], PhotoRecord] = {}
+    for record in read_photos(folder / JOURNAL_NAME):
+        check_inside(record.file, what=f"{folder / JOURNAL_NAME}: file")
+        photos[record.set, record.sweep, record.index] = record
+    return Session(folder, manifest, photos)
+
+
+class SessionWriter:
+    """Writes a session so that nothing it acknowledged can be lost."""
+
+    def __init__(self, folder: Path, manifest: Manifest, journal: JournalWriter) -> None:
+        self.folder = folder
+        self.manifest = manifest
+        self.journal = journal
+
+    @classmethod
+    def create(cls, folder: Path, manifest: Manifest) -> "SessionWriter":
+        """Start a new session in a folder that is absent or empty."""
+        try:
+            folder.mkdir(parents=True, exist_ok=True)
+            if any(folder.iterdir()):
+                raise SessionError(f"{folder}: not empty; choose a new folder for the session")
+            write_durably(folder / MANIFEST_NAME, (manifest.model_dump_json(indent=2) + "\n").encode())
+            return cls(folder, manifest, JournalWriter(folder / JOURNAL_NAME))
+        except OSError as error:
+            raise SessionError(f"{folder}: cannot be written ({error.strerror})") from error
+
+    @classmethod
+    def reopen(cls, folder: Path) -> "SessionWriter":
+        """Continue a session that was interrupted."""
+        session = open_session(folder)
+        return cls(folder, session.manifest, JournalWriter(folder / JOURNAL_NAME))
+
+    def save_photo(
+        self,
+        data: bytes,
+        *,
+        set_name: str,
+        sweep: str,
+        index: int = 0,
+        suffix: str = ".jpg",
+        place_px: float | None = None,
+        device: dict[str, Any] | None = None,
+    ) -> PhotoRecord:
+        """Write a photo, then its journal line; both are on disk when this returns."""
+        record = PhotoRecord(
+            set=set_name,
+            sweep=sweep,
+            index=index,
+            place_px=place_px,
+            file=photo_path(set_name, sweep, index, suffix),
+            sha256=hashlib.sha256(data).hexdigest(),
+            bytes=len(data),
+            time=now_text(),
+            device=device or {},
+        )
+        try:
+            write_durably(self.folder / record.file, data)
+            self.journal.append("photo", **record.model_dump())
+        except OSError as error:
+            raise SessionError(
+                f"{self.folder / record.file}: cannot be written ({error.strerror}); "
+                "free some space and resume the capture"
+            ) from error
+        return record
+
+    def close(self) -> None:
+        """Close the journal; safe to call twice."""
+        self.journal.close()
+
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(
+        self,
+        kind: type[BaseException] | None,
+        error: BaseException | None,
+        trace: TracebackType | None,
+    ) -> None:
+        self.close()
+
+
+def write_durably(path: Path, data: bytes) -> None:
+    """Write a file so that after a power cut it is whole or absent: temporary name, flush, rename, flush the folder."""
+    path.parent.mkdir(parents=True, exist_ok=True)
+    temporary = path.with_name(path.name + ".part")
+    with temporary.open("wb") as file:
+        file.write(data)
+        file.flush()
+        os.fsync(file.fileno())
+    temporary.replace(path)
+    folder = os.open(path.parent, os.O_RDONLY)
+    try:
+        os.fsync(folder)
+    finally:
+        os.close(folder)

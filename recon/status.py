@@ -1,0 +1,37 @@
+"""Why a camera pixel has a point, or has none: the ``status`` map of ``maps.npz``."""
+
+from enum import IntEnum
+
+import numpy as np
+import numpy.typing as npt
+
+
+class PixelStatus(IntEnum):
+    """One reason a pixel; the first test that fails names it."""
+
+    OK = 0
+    UNLIT = 1
+    PARTLY_LIT = 2
+    MASKED_OUT = 3
+    SWEEP_EDGE = 4
+    BAD_FIT = 5
+    PARALLEL_PATHS = 6
+    GAP_TOO_LARGE = 7
+    OUTSIDE_DEPTH = 8
+    BESIDE_OBJECT = 9
+
+
+REASONS: dict[PixelStatus, str] = {
+    PixelStatus.OK: "has a point and a normal",
+    PixelStatus.UNLIT: "saw the stripe in no set",
+    PixelStatus.PARTLY_LIT: "saw the stripe in some sets only",
+    PixelStatus.MASKED_OUT: "outside the session's mask",
+    PixelStatus.SWEEP_EDGE: "brightest at the first or last stripe place: the peak may lie outside the sweep",
+    PixelStatus.BAD_FIT: "its intensity curve is not that of one stripe (two paths, a moving scene, clipping)",
+    PixelStatus.PARALLEL_PATHS: "the two light paths are nearly parallel and fix no point",
+    PixelStatus.GAP_TOO_LARGE: "the two light paths miss each other",
+    PixelStatus.OUTSIDE_DEPTH: "the point is not between display and camera",
+    PixelStatus.BESIDE_OBJECT: "looks past the object at the liquid's own flat surface",
+}
+
+StatusMap = npt.NDArray[np.uint8]

@@ -1,0 +1,1 @@
+"""Plan and run captures: the only package that composes the others."""
