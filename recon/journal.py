@@ -1,6 +1,7 @@
 """The append-only journal of a session: one JSON object a line, flushed to disk before anyone relies on it.
 
-What the journal says is the truth. A last line without its line feed is what a power cut leaves: it is dropped on reading.
+What the journal says is the truth. A last line without its line feed is what a power cut leaves: it is
+dropped on reading.
 """
 
 import json

@@ -116,7 +116,8 @@ class CameraBody(Part):
 class StripePattern(Part):
     """A bright stripe on black that is moved step by step along one axis of the display.
 
-    ``hard``: ``width_px`` device pixels fully lit, sharp edges. ``raised_cosine``: ½(1 + cos 2πd/width_px) for |d| < width_px/2.
+    ``hard``: ``width_px`` device pixels fully lit, sharp edges. ``raised_cosine``: ½(1 + cos 2πd/width_px) for
+    |d| < width_px/2.
     Stripe number k is centred at ``first_px + k * step_px`` (device pixels; pixel 0's centre is 0).
     """
 
@@ -216,7 +217,8 @@ class Manifest(Part):
         first, second = (np.array(pose.centre_mm) for pose in self.display_poses)
         if np.linalg.norm(first - second) < self.display.pitch_mm:
             raise ValueError(
-                "the two display positions coincide (less than one display pixel apart); the display must stand at two places"
+                "the two display positions coincide (less than one display pixel apart); "
+                "the display must stand at two places"
             )
         return self
 

@@ -1,0 +1,113 @@
+"""The numbers of one reconstruction: ``metrics.json``, for people, for the report and for other programs."""
+
+from pathlib import Path
+from typing import Literal
+
+from pydantic import BaseModel, ConfigDict, ValidationError
+
+from recon.errors import ReconError
+
+METRICS_NAME = "metrics.json"
+
+
+class Part(BaseModel):
+    """Common behaviour: unchangeable, no unknown field."""
+
+    model_config = ConfigDict(frozen=True, extra="forbid")
+
+
+class Verdict(Part):
+    """The first thing a person reads: pass, check or fail, why, and what to do next."""
+
+    grade: Literal["pass", "check", "fail"]
+    reasons: tuple[str, ...]
+    next_action: str
+
+
+class Funnel(Part):
+    """How many pixels are left after each step."""
+
+    pixels: int
+    lit: int  # saw the stripe in at least one set
+    matched: int  # have a correspondence in all sets
+    entry_points: int  # the FEP passed every test
+    normals: int
+
+
+class Statistic(Part):
+    """Spread of one quantity over the pixels that have a point. ``unit`` is written as in the report (mm, deg, px)."""
+
+    name: str
+    unit: str
+    mean: float
+    median: float
+    rms: float
+    p95: float
+    how: str  # how it was computed, in one sentence
+
+
+class SampleCurve(Part):
+    """One pixel's intensity over stripe places in one sweep, with what was made of it."""
+
+    row: int
+    col: int
+    set: str
+    axis: str
+    place_px: tuple[float, ...]
+    intensity: tuple[float, ...]
+    model: tuple[float, ...]  # empty where the method fits no curve
+    peak_px: float
+    sd_px: float | None
+
+
+class StageTime(Part):
+    """Time and peak memory of one stage of the run."""
+
+    name: str
+    wall_s: float
+    peak_mb: float
+
+
+class PhotoQuality(Part):
+    """One photo in the strip of capture quality."""
+
+    set: str
+    sweep: str
+    index: int
+    brightest: float
+    saturated_share: float
+
+
+class Metrics(Part):
+    """All that ``metrics.json`` holds."""
+
+    schema_version: Literal[1] = 1
+    session: str
+    method: Literal["paper", "full"]
+    length_unit: str
+    verdict: Verdict
+    funnel: Funnel
+    status_counts: dict[str, int]
+    statistics: tuple[Statistic, ...]
+    parameters: dict[str, object]
+    warnings: tuple[str, ...]
+    versions: dict[str, str]
+    hashes: dict[str, str]
+    stages: tuple[StageTime, ...]
+    curves: tuple[SampleCurve, ...] = ()
+    photos: tuple[PhotoQuality, ...] = ()
+
+
+def save_metrics(metrics: Metrics, path: Path) -> None:
+    """Write ``metrics.json``."""
+    path.write_text(metrics.model_dump_json(indent=2) + "\n", encoding="utf-8")
+
+
+def load_metrics(path: Path) -> Metrics:
+    """Read ``metrics.json``; raises ``ReconError`` with one sentence where it cannot be used."""
+    try:
+        return Metrics.model_validate_json(path.read_text(encoding="utf-8"))
+    except FileNotFoundError:
+        raise ReconError(f"{path}: no such file; run `recon run` on the session first") from None
+    except (OSError, UnicodeDecodeError, ValidationError) as error:
+        raise ReconError(f"{path}: not the metrics of a reconstruction ({str(error).splitlines()[0]})") from None
