@@ -1,0 +1,93 @@
+# One entry for everything. A fresh Debian with python3 (3.11 or newer), git and make is enough to start.
+
+SHELL := /bin/bash
+.SHELLFLAGS := -euo pipefail -c
+.DEFAULT_GOAL := help
+.NOTPARALLEL:
+
+# The first of these that is Python 3.11 or newer builds the virtual environment; `make PYTHON=… setup` chooses.
+PYTHON ?= $(shell for p in python3 python3.13 python3.12 python3.11; do \
+	"$$p" -c 'import sys; sys.exit(sys.version_info < (3, 11))' 2>/dev/null && { echo "$$p"; break; }; done)
+PYTEST_FLAGS ?= -n auto --maxprocesses 4
+
+# Every path is relative, so that the folder's own name may hold spaces.
+BIN := .venv/bin
+PIP_INSTALL := $(BIN)/python -m pip install --quiet --disable-pip-version-check --constraint constraints.txt
+COMMANDS_PAGE := docs/reference/commands.md
+
+.PHONY: help setup demo test check format bench docs commands picture clean
+
+help:  ## list the targets
+	@grep -hE '^[a-z]+:.*## ' Makefile | sed -E 's/^([a-z]+):[^#]*## (.*)/make \1\t\2/' | expand -t 16
+
+setup: .venv/full.stamp  ## build .venv with everything that tests, style checks and documentation need
+
+demo: .venv/core.stamp  ## a simulated capture, its reconstruction, and a report to look at
+	@$(BIN)/python docs/run_demo.py demo
+
+test: .venv/full.stamp  ## run the tests
+	$(BIN)/python -m pytest $(PYTEST_FLAGS)
+
+check: .venv/full.stamp  ## formatting, style, types, import contracts, tests, documentation
+	$(BIN)/python -m ruff format --check .
+	$(BIN)/python -m ruff check .
+	$(BIN)/python -m mypy
+	$(BIN)/lint-imports
+	$(MAKE) --no-print-directory test
+	$(MAKE) --no-print-directory docs
+
+format: .venv/full.stamp  ## put the sources into the project's format
+	$(BIN)/python -m ruff format .
+	$(BIN)/python -m ruff check --fix .
+
+bench: .venv/full.stamp  ## measure time and peak memory
+	$(BIN)/python -m pytest tests/bench --no-header -s
+
+docs: .venv/full.stamp  ## build the documentation site into docs/_build/html; a warning is an error
+	$(BIN)/python -m sphinx -W --keep-going -q -b html docs docs/_build/html
+	@echo "documentation: docs/_build/html/index.html"
+
+commands: .venv/full.stamp  ## write docs/reference/commands.md from the programs' own help
+	$(BIN)/python docs/render_commands.py $(COMMANDS_PAGE)
+
+picture: .venv/full.stamp  ## make the pictures of README.md from a simulated scan
+	$(BIN)/python docs/images/make_readme_picture.py
+
+clean:  ## remove everything that these targets made
+	rm -rf .venv demo docs/_build build .mypy_cache .pytest_cache .ruff_cache .hypothesis .import_linter_cache *.egg-info
+	find . -name __pycache__ -type d -prune -exec rm -rf {} +
+
+# What `demo` needs: the programs alone.
+.venv/core.stamp: .venv/made.stamp pyproject.toml constraints.txt
+	@echo "installing into .venv (once; about 350 MB to fetch on a machine that has none of it) ..."
+	@$(PIP_INSTALL) --editable .
+	@touch $@
+
+# What developers need as well; it contains the core, so `demo` installs nothing after it.
+.venv/full.stamp: .venv/made.stamp pyproject.toml constraints.txt
+	@echo "installing into .venv with devices, tests and documentation (once) ..."
+	@$(PIP_INSTALL) --editable '.[rig,dev,docs]'
+	@touch .venv/core.stamp $@
+
+# Debian ships Python without venv's half that installs pip; fetch it where we may, else say so in one sentence.
+.venv/made.stamp:
+	@if [ -z "$(PYTHON)" ]; then \
+		echo "Python 3.11 or newer was not found; install it (Debian: apt-get install python3), or run: make PYTHON=/path/to/python setup" >&2; \
+		exit 1; \
+	fi
+	@if ! "$(PYTHON)" -c 'import ensurepip, venv' 2>/dev/null; then \
+		if [ "$$(id -u)" = 0 ]; then as_root=(env); \
+		elif command -v sudo >/dev/null && { [ -t 0 ] || sudo -n true 2>/dev/null; }; then as_root=(sudo); \
+		else as_root=(); fi; \
+		if [ $${#as_root[@]} = 0 ] || ! command -v apt-get >/dev/null; then \
+			echo "$(PYTHON) cannot make virtual environments; install its venv module (Debian: sudo apt-get install python3-venv) and run make again." >&2; \
+			exit 1; \
+		fi; \
+		echo "installing python3-venv ..."; \
+		"$${as_root[@]}" apt-get -qq update; \
+		"$${as_root[@]}" env DEBIAN_FRONTEND=noninteractive apt-get -qq install --yes python3-venv >/dev/null; \
+		"$(PYTHON)" -c 'import ensurepip, venv' 2>/dev/null || { \
+			echo "$(PYTHON) still cannot make virtual environments: it is not Debian's own; run: make PYTHON=/usr/bin/python3 setup" >&2; exit 1; }; \
+	fi
+	@"$(PYTHON)" -m venv .venv
+	@touch $@

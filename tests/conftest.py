@@ -1,0 +1,47 @@
+"""What every test may ask for."""
+
+import os
+import shutil
+from collections.abc import Callable
+from typing import NoReturn
+
+import pytest
+
+# The continuous integration promises to have everything: there a test that cannot run is a failure, not a skip.
+EVERYTHING_IS_INSTALLED = os.environ.get("CI", "").lower() in ("1", "true")
+
+
+def skip_or_fail(reason: str) -> NoReturn:
+    """Skip with ``reason`` on a person's machine; fail with it under ``CI=true``."""
+    if EVERYTHING_IS_INSTALLED:
+        pytest.fail(f"{reason} (under CI=true this is a failure)", pytrace=False)
+    pytest.skip(reason)
+
+
+@pytest.fixture(scope="session")
+def require_program() -> Callable[[str, str], str]:
+    """Return ``require_program(name, package)``: the program's path, or a skip that says how to install it."""
+
+    def require(name: str, package: str) -> str:
+        path = shutil.which(name)
+        if path is None:
+            skip_or_fail(f"{name} is not installed; on Debian: apt-get install {package}")
+        return path
+
+    return require
+
+
+def pytest_configure(config: pytest.Config) -> None:
+    """Declare the one reason to skip that stands everywhere: a device that is not on the bench."""
+    config.addinivalue_line("markers", "hardware: needs a real device; skipped without one, also under CI=true")
+
+
+@pytest.hookimpl(wrapper=True)
+def pytest_runtest_makereport(item: pytest.Item):
+    """Under ``CI=true`` turn any other skip into a failure, unless the test needs real hardware."""
+    report = yield
+    skipped = report.skipped and not hasattr(report, "wasxfail")
+    if EVERYTHING_IS_INSTALLED and skipped and item.get_closest_marker("hardware") is None:
+        report.outcome = "failed"
+        report.longrepr = f"{item.nodeid}: skipped under CI=true: {report.longrepr}"
+    return report
