@@ -187,3 +187,11 @@ class Pump(Device, Protocol):
     def stop(self) -> None:
         """Stop now: any time, twice, from ``finally``."""
         ...
+
+
+class LevelSensor(Device, Protocol):
+    """Knows how much liquid stands in the tank. Few rigs have one; without it the operator is asked."""
+
+    def volume_ml(self) -> float:
+        """What the tank holds now, asked from the hardware."""
+        ...

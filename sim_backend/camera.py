@@ -1,0 +1,87 @@
+"""A simulated camera: it photographs what the world shows at the moment of its exposure."""
+
+from types import TracebackType
+from typing import Protocol, Self
+
+from drivers.errors import DeviceBusyError, DeviceProtocolError, DeviceTimeoutError
+from drivers.protocols import DeviceInfo, Frame, Photo
+from sim_backend.world import Sight, World
+
+# What can be set on this body. A simulated exposure does not depend on it: the scene fixes how bright a photo is.
+DEFAULT_SETTINGS = {"shutter": "1/4", "aperture": "8", "iso": "100", "white_balance": "daylight", "focus": "manual"}
+
+
+class TakesPhotos(Protocol):
+    """The optics behind the camera: :class:`sim_backend.photography.Photographer`, or a stand-in."""
+
+    def photograph(self, frame: Frame, *, stage_position_mm: float, wet: bool, object_present: bool = True) -> bytes:
+        """Return the JPEG file of one photo."""
+        ...
+
+
+class SimulatedCamera:
+    """Photographs ``world`` through ``optics``. Implements :class:`drivers.protocols.Camera`."""
+
+    def __init__(self, world: World, optics: TakesPhotos, *, exposure_s: float, download_s: float) -> None:
+        self._world = world
+        self._optics = optics
+        self._exposure_s = exposure_s
+        self._download_s = download_s
+        self._settings = dict(DEFAULT_SETTINGS)
+        self._taken: Sight | None = None
+        self._count = 0
+
+    def info(self) -> DeviceInfo:
+        """Say that this camera is simulated."""
+        return DeviceInfo("simulated", "simulated camera")
+
+    def settings(self) -> dict[str, str]:
+        """The settings as they stand."""
+        return dict(self._settings)
+
+    def apply_settings(self, settings: dict[str, str]) -> None:
+        """Take over these settings; raises ``DeviceProtocolError`` for one that this camera does not have."""
+        unknown = sorted(set(settings) - set(self._settings))
+        if unknown:
+            raise DeviceProtocolError(
+                f"camera: setting {unknown[0]!r} asked, this camera has {', '.join(sorted(self._settings))}"
+            )
+        self._settings |= settings
+
+    def expose(self, *, timeout_s: float) -> None:
+        """Take one photo; the display may change when this returns."""
+        if self._taken is not None:
+            raise DeviceBusyError("camera: a second photo asked before the first was collected; collect it first")
+        self._wait(self._exposure_s, timeout_s=timeout_s, what="the exposure")
+        self._taken = self._world.look()
+
+    def collect(self, *, timeout_s: float) -> tuple[Photo, ...]:
+        """Develop and hand over the photo of the last ``expose``."""
+        if self._taken is None:
+            raise DeviceProtocolError("camera: a photo was asked for, but none was taken; expose first")
+        self._wait(self._download_s, timeout_s=timeout_s, what="the download")
+        sight, self._taken = self._taken, None
+        data = self._optics.photograph(
+            sight.frame,
+            stage_position_mm=sight.stage_position_mm,
+            wet=sight.wet,
+            object_present=sight.object_present,
+        )
+        self._count += 1
+        return (Photo(data, ".jpg", f"sim{self._count:05d}.jpg"),)
+
+    def keep_awake(self) -> None:
+        """A simulated camera does not fall asleep."""
+
+    def _wait(self, duration_s: float, *, timeout_s: float, what: str) -> None:
+        self._world.clock.sleep_s(min(duration_s, timeout_s))
+        if duration_s > timeout_s:
+            raise DeviceTimeoutError(f"camera: {what} was not over after {timeout_s:g} s; allow more time")
+
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        self._taken = None

@@ -1,0 +1,245 @@
+"""The one world that all simulated devices share: liquid, the place of the display, and what it shows.
+
+Nothing here runs in the background. A pump that was started and a stage that was set in motion are laws over time; every
+question first brings the world up to the present of its clock. The simulated devices and the emulators of real ones
+therefore agree about the tank, whoever asks and whenever.
+"""
+
+import json
+import threading
+from collections.abc import Callable
+from dataclasses import asdict, dataclass, fields, replace
+from pathlib import Path
+
+from drivers.errors import DeviceProtocolError
+from drivers.protocols import Clock, FlowDirection, Frame
+
+# Photos know a dry tank and a filled one. The last per cent of the volume raises the level by less than the
+# meniscus is high, so that rounding in a pump's volume does not keep the object dry.
+WET_FRACTION = 0.99
+
+
+@dataclass(frozen=True, slots=True)
+class TankSize:
+    """The tank of a scene: what it can hold, and the volume at which the object's display side is immersed."""
+
+    free_volume_ml: float
+    fill_ml: float
+
+
+@dataclass(frozen=True, slots=True)
+class WorldState:
+    """What lasts while nobody looks: liquid, stage and object. ``overflow_ml`` is what ran over the tank's rim."""
+
+    tank_ml: float = 0.0
+    reservoir_ml: float = 0.0
+    overflow_ml: float = 0.0
+    stage_mm: float = 0.0
+    stage_homed: bool = False
+    object_present: bool = True
+
+
+@dataclass(frozen=True, slots=True)
+class Flow:
+    """A pump that was started: it turns until its volume is moved or its longest run time is over."""
+
+    direction: FlowDirection
+    rate_ml_per_s: float
+    started_s: float
+    runs_s: float
+    counted_ml: float = 0.0
+
+
+@dataclass(frozen=True, slots=True)
+class Motion:
+    """A stage under way from one place to another at constant speed."""
+
+    from_mm: float
+    to_mm: float
+    velocity_mm_per_s: float
+    started_s: float
+
+    def position_mm(self, now_s: float) -> float:
+        """Return where the stage is at ``now_s``."""
+        distance_mm = self.to_mm - self.from_mm
+        travelled_mm = min(abs(distance_mm), self.velocity_mm_per_s * max(0.0, now_s - self.started_s))
+        return self.from_mm + (travelled_mm if distance_mm >= 0 else -travelled_mm)
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Sight:
+    """What the camera sees at one moment. ``disturbed``: the stage moved or the pump ran meanwhile."""
+
+    frame: Frame
+    frame_id: int | None
+    stage_position_mm: float
+    wet: bool
+    object_present: bool
+    disturbed: bool
+
+
+class World:
+    """Liquid, stage, display and object at the present of ``clock``; every method may be called from any thread."""
+
+    def __init__(self, *, clock: Clock, tank: TankSize, dark_frame: Frame, state: WorldState) -> None:
+        self.clock = clock
+        self.tank = tank
+        self.disturbed_photos = 0
+        self._dark_frame = dark_frame
+        self._state = state
+        self._flow: Flow | None = None
+        self._moved_ml = 0.0
+        self._motion: Motion | None = None
+        self._shown: tuple[Frame, int | None] = (dark_frame, None)
+        self._lock = threading.RLock()
+
+    # Liquid
+
+    def start_flow(self, direction: FlowDirection, *, rate_ml_per_s: float, volume_ml: float, max_run_s: float) -> None:
+        """Begin to pump; a flow that is under way is replaced."""
+        with self._lock:
+            self.stop_flow()
+            self._moved_ml = 0.0
+            runs_s = min(volume_ml / rate_ml_per_s, max_run_s)
+            self._flow = Flow(direction, rate_ml_per_s, self.clock.now_s(), runs_s)
+
+    def stop_flow(self) -> None:
+        """Stop the pump where it is; harmless when it stands."""
+        with self._lock:
+            self._advance()
+            self._flow = None
+
+    def flow_direction(self) -> FlowDirection | None:
+        """Return which way the pump turns, or None while it stands."""
+        with self._lock:
+            self._advance()
+            return self._flow.direction if self._flow else None
+
+    def moved_ml(self) -> float:
+        """Return what the pump counts since its last start: turns of its head, not liquid."""
+        with self._lock:
+            self._advance()
+            return self._moved_ml
+
+    def _advance(self) -> None:
+        flow = self._flow
+        if flow is None:
+            return
+        elapsed_s = self.clock.now_s() - flow.started_s
+        moved_ml = flow.rate_ml_per_s * min(elapsed_s, flow.runs_s)
+        self._transfer(flow.direction, moved_ml - flow.counted_ml)
+        self._moved_ml = moved_ml
+        self._flow = None if elapsed_s >= flow.runs_s else replace(flow, counted_ml=moved_ml)
+
+    def _transfer(self, direction: FlowDirection, volume_ml: float) -> None:
+        state = self._state
+        if direction == "fill":
+            volume_ml = min(volume_ml, state.reservoir_ml)
+            level_ml = state.tank_ml + volume_ml
+            over_ml = max(0.0, level_ml - self.tank.free_volume_ml)
+            self._state = replace(
+                state,
+                tank_ml=level_ml - over_ml,
+                reservoir_ml=state.reservoir_ml - volume_ml,
+                overflow_ml=state.overflow_ml + over_ml,
+            )
+        else:
+            volume_ml = min(volume_ml, state.tank_ml)
+            self._state = replace(state, tank_ml=state.tank_ml - volume_ml, reservoir_ml=state.reservoir_ml + volume_ml)
+
+    # The stage
+
+    def start_motion(self, to_mm: float, *, velocity_mm_per_s: float) -> None:
+        """Set the stage in motion from where it is now."""
+        with self._lock:
+            self._motion = Motion(self.stage_mm(), to_mm, velocity_mm_per_s, self.clock.now_s())
+
+    def stop_motion(self) -> None:
+        """Stop the stage where it is; harmless when it stands."""
+        with self._lock:
+            self._state = replace(self._state, stage_mm=self.stage_mm())
+            self._motion = None
+
+    def stage_mm(self) -> float:
+        """Return where the stage is now."""
+        with self._lock:
+            return self._motion.position_mm(self.clock.now_s()) if self._motion else self._state.stage_mm
+
+    def is_moving(self) -> bool:
+        """Tell whether the stage is still under way."""
+        with self._lock:
+            return self._motion is not None and self.stage_mm() != self._motion.to_mm
+
+    def set_homed(self, homed: bool) -> None:
+        """Remember whether the stage knows where it is."""
+        with self._lock:
+            self._state = replace(self._state, stage_homed=homed)
+
+    # What is shown and seen
+
+    def show(self, frame: Frame, *, frame_id: int | None) -> None:
+        """Put a frame on the glass."""
+        with self._lock:
+            self._shown = (frame, frame_id)
+
+    def show_nothing(self) -> None:
+        """Let the glass go dark."""
+        self.show(self._dark_frame, frame_id=None)
+
+    def place_object(self, present: bool) -> None:
+        """Put the object in its holder, or take it out."""
+        with self._lock:
+            self._state = replace(self._state, object_present=present)
+
+    def is_wet(self) -> bool:
+        """Tell whether the display side of the object is immersed."""
+        with self._lock:
+            self._advance()
+            return self._state.tank_ml >= WET_FRACTION * self.tank.fill_ml
+
+    def look(self) -> Sight:
+        """Return what a camera sees now, and count the look if something moved meanwhile."""
+        with self._lock:
+            frame, frame_id = self._shown
+            disturbed = self.is_moving() or self.flow_direction() is not None
+            self.disturbed_photos += disturbed
+            state = self._state
+            return Sight(frame, frame_id, self.stage_mm(), self.is_wet(), state.object_present, disturbed)
+
+    def state(self) -> WorldState:
+        """Return liquid, stage and object as they are now."""
+        with self._lock:
+            self._advance()
+            return replace(self._state, stage_mm=self.stage_mm())
+
+
+def wait_until(clock: Clock, done: Callable[[], bool], *, timeout_s: float, poll_s: float = 0.05) -> bool:
+    """Sleep on ``clock`` in small steps until ``done()``; return False when ``timeout_s`` passed first."""
+    deadline_s = clock.now_s() + timeout_s
+    while not done():
+        remaining_s = deadline_s - clock.now_s()
+        if remaining_s <= 0:
+            return False
+        clock.sleep_s(min(poll_s, remaining_s))
+    return True
+
+
+def save_state(state: WorldState, path: Path) -> None:
+    """Write the lasting state of a simulated rig as JSON, whole or not at all."""
+    temporary = path.with_name(path.name + ".part")
+    temporary.write_text(json.dumps(asdict(state), indent=2) + "\n", encoding="utf-8")
+    temporary.replace(path)
+
+
+def load_state(path: Path) -> WorldState:
+    """Read what :func:`save_state` wrote; raises ``DeviceProtocolError`` for a file that is something else."""
+    try:
+        data = json.loads(path.read_text(encoding="utf-8"))
+    except ValueError:
+        data = None
+    names = {field.name for field in fields(WorldState)}
+    if not isinstance(data, dict) or set(data) != names:
+        raise DeviceProtocolError(
+            f"{path}: not the state of a simulated rig; name another file, or remove this one to start with an empty tank"
+        )
+    return WorldState(**data)
