@@ -1,0 +1,1 @@
+"""From points and normals on the camera grid to a surface: integration, fusion, mesh and its files."""
