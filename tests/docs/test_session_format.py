@@ -1,0 +1,82 @@
+"""The page on the session format is complete, and its worked example is a session."""
+
+import re
+import subprocess
+from pathlib import Path
+
+import pytest
+from pydantic import BaseModel
+
+from recon import journal, manifest
+from recon.journal import PhotoRecord
+from recon.session import Session, open_session
+
+REPOSITORY = Path(__file__).parents[2]
+PAGE = (REPOSITORY / "docs/reference/session-format.md").read_text(encoding="utf-8")
+PHOTOS = REPOSITORY / "tests/data/povray-semi-ellipsoid/smooth"
+
+MODELS = {
+    name: model
+    for module in (manifest, journal)
+    for name, model in vars(module).items()
+    if isinstance(model, type) and issubclass(model, BaseModel) and model.__module__ == module.__name__
+}
+del MODELS["Part"]  # common behaviour, not a part of the file
+
+
+def section(model_name: str) -> str:
+    """Return the text under the heading of a model, up to the next heading."""
+    found = re.search(rf"^### `{model_name}`:.*?$(.*?)(?=^##)", PAGE, re.MULTILINE | re.DOTALL)
+    assert found is not None, f"docs/reference/session-format.md has no section on {model_name}"
+    return found[1]
+
+
+def rows(model_name: str) -> dict[str, list[str]]:
+    """Return the section's table: field to its other cells."""
+    cells = [line.strip("| ").split(" | ") for line in section(model_name).splitlines() if line.startswith("| `")]
+    return {row[0].strip("` "): row[1:] for row in cells}
+
+
+def code_blocks(language: str) -> list[str]:
+    return re.findall(rf"^```{language}\n(.*?)^```", PAGE, re.MULTILINE | re.DOTALL)
+
+
+@pytest.mark.parametrize("model_name", MODELS)
+def test_every_field_of_the_format_is_described_and_no_other(model_name: str) -> None:
+    described = set(rows(model_name)) - {"event"}
+    assert described == set(MODELS[model_name].model_fields)
+
+
+@pytest.mark.parametrize("model_name", MODELS)
+def test_a_field_is_said_to_be_required_exactly_where_the_parser_requires_it(model_name: str) -> None:
+    fields = MODELS[model_name].model_fields
+    said = {name for name, row in rows(model_name).items() if row[1] == "—"} - {"event"}
+    assert said == {name for name, field in fields.items() if field.is_required()}
+
+
+@pytest.fixture(scope="module")
+def written_by_hand(tmp_path_factory: pytest.TempPathFactory) -> Session:
+    """Follow the page to the letter: save the manifest, run the loop."""
+    folder = tmp_path_factory.mktemp("by hand")
+    (folder / "smooth").symlink_to(PHOTOS)
+    (folder / "session").mkdir()
+    (folder / "session/manifest.json").write_text(code_blocks("json")[0], encoding="utf-8")
+    script = code_blocks("bash")[0].replace("cp -r", "cp -rH")
+    subprocess.run(["bash", "-euo", "pipefail", "-c", script], cwd=folder, check=True)
+    return open_session(folder / "session")
+
+
+def test_the_worked_example_is_a_session_with_all_its_photos(written_by_hand: Session) -> None:
+    wanted = {
+        (capture_set.name, sweep.axis, index)
+        for capture_set in written_by_hand.manifest.sets
+        for sweep in capture_set.sweeps
+        for index in range(sweep.pattern.count)
+    }
+    assert wanted <= written_by_hand.photos.keys()
+    assert all(written_by_hand.photo_file(*key).is_file() for key in wanted)
+
+
+def test_the_journal_line_on_the_page_is_the_first_that_the_loop_writes(written_by_hand: Session) -> None:
+    first = PhotoRecord.model_validate_json(code_blocks("json")[1].replace('"event": "photo", ', ""))
+    assert first == written_by_hand.photos["pos0_air", "x", 0]
