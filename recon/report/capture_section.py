@@ -1,0 +1,141 @@
+"""What the photos are worth: intensity curves of a few pixels with their fit, and a strip of quality a photo."""
+
+from collections.abc import Sequence
+from itertools import groupby
+
+import numpy as np
+
+from recon.metrics import Metrics, PhotoQuality, SampleCurve
+from recon.report.charts import Scale, area_path, line_path, round_up
+from recon.report.numbers import number
+from recon.report.panel import Panel, Section, Table
+
+CURVES_SHOWN = 24
+# Samples on either side of the peak in the close view: a stripe is a few steps wide.
+CLOSE_STEPS = 10
+WIDTH, CLOSE_HEIGHT, WHOLE_HEIGHT = 320, 150, 34
+LEFT, RIGHT, BOTTOM = 40, 8, 24
+STRIP_WIDTH, STRIP_HEIGHT, SHARE_HEIGHT = 460, 64, 26
+
+
+def curve_chart(curve: SampleCurve) -> dict[str, object]:
+    """Return the drawing of one pixel's curve: whole sweep above, the neighbourhood of the peak below."""
+    place = np.asarray(curve.place_px, dtype=np.float64)
+    step = float(np.median(np.diff(place))) if place.size > 1 else 1.0
+    centre = curve.peak_px if np.isfinite(curve.peak_px) else float(place[int(np.nanargmax(curve.intensity))])
+    low = max(float(place[0]), centre - CLOSE_STEPS * step)
+    high = min(float(place[-1]), centre + CLOSE_STEPS * step)
+    top = round_up(max(*curve.intensity, *curve.model, 1e-9) / 10) * 10
+    bottom = min(0.0, *curve.intensity)
+    whole_x = Scale(float(place[0]), float(place[-1]), LEFT, WIDTH - RIGHT)
+    whole_y = Scale(bottom, top, WHOLE_HEIGHT, 2)
+    x = Scale(low, high, LEFT, WIDTH - RIGHT)
+    y = Scale(bottom, top, CLOSE_HEIGHT - BOTTOM, 6)
+    samples = list(zip(curve.place_px, curve.intensity, strict=True))
+    near = [(a, b) for a, b in samples if low <= a <= high]
+    fitted = [(a, b) for a, b in zip(curve.place_px, curve.model, strict=False) if low <= a <= high]
+    sd = curve.sd_px or 0.0
+    return {
+        "row": curve.row,
+        "col": curve.col,
+        "set": curve.set,
+        "axis": curve.axis,
+        "whole": line_path(whole_x, whole_y, samples),
+        "window": (whole_x.place(low), whole_x.place(high)),
+        "dots": [(x.place(a), y.place(b)) for a, b in near],
+        "fit": line_path(x, y, fitted),
+        "peak": x.place(curve.peak_px) if low <= curve.peak_px <= high else None,
+        "band": (x.place(curve.peak_px - sd), x.place(curve.peak_px + sd))
+        if sd and np.isfinite(curve.peak_px)
+        else None,
+        "peak_text": number(float(curve.peak_px), 5),
+        "sd_text": number(float(sd)) if sd else "",
+        "x_ticks": x.ticks(4),
+        "y_ticks": y.ticks(3),
+    }
+
+
+def curves_panel(curves: Sequence[SampleCurve]) -> Panel:
+    """Return small charts of the sample pixels."""
+    usable = [curve for curve in curves if len(curve.place_px) >= 3 and len(curve.intensity) == len(curve.place_px)]
+    left_out = len(usable) - CURVES_SHOWN
+    return Panel(
+        "curves",
+        "What single pixels saw",
+        "curves.html.j2",
+        {
+            "charts": [curve_chart(curve) for curve in usable[:CURVES_SHOWN]],
+            "size": (WIDTH, CLOSE_HEIGHT, WHOLE_HEIGHT, LEFT, RIGHT, BOTTOM),
+            "fitted": any(curve.model for curve in usable),
+            "left_out": max(0, left_out),
+        },
+        "Intensity of one pixel over the places of the stripe, in device pixels of the display: above, the whole sweep; below, "
+        "the neighbourhood of the peak, with the fit as a line and the peak found as an upright line (its sd as a band).",
+        "One clear peak on a flat ground; dots on the line; no dot at the top of the range.",
+        "Two peaks (two light paths in one pixel), a flat top (clipping), or a ground as high as the peak (stray light).",
+        missing="" if usable else "The run kept no sample curves.",
+    )
+
+
+def photo_strip(photos: Sequence[PhotoQuality], *, top: float, share_top: float) -> dict[str, object]:
+    """Return the drawing of one sweep: the brightest value a photo, and below it the saturated share."""
+    ordered = sorted(photos, key=lambda photo: photo.index)
+    x = Scale(ordered[0].index, max(ordered[-1].index, ordered[0].index + 1), LEFT, STRIP_WIDTH - RIGHT)
+    y = Scale(0, top, STRIP_HEIGHT, 6)
+    share_y = Scale(0, share_top, STRIP_HEIGHT + 6 + SHARE_HEIGHT, STRIP_HEIGHT + 6)
+    shares = [100 * photo.saturated_share for photo in ordered]
+    brightest = [photo.brightest for photo in ordered]
+    return {
+        "set": ordered[0].set,
+        "sweep": ordered[0].sweep,
+        "count": len(ordered),
+        "line": line_path(x, y, [(photo.index, photo.brightest) for photo in ordered]),
+        "share": area_path(x, share_y, [(photo.index, value) for photo, value in zip(ordered, shares, strict=True)]),
+        "x_ticks": x.ticks(5),
+        "y_ticks": y.ticks(2),
+        "brightest_median": number(float(np.median(brightest))),
+        "darkest": number(float(min(brightest))),
+        "worst_share": number(float(max(shares))),
+        "share_top": number(float(share_top)),
+    }
+
+
+def photos_panel(photos: Sequence[PhotoQuality]) -> Panel:
+    """Return the strip of capture quality: a small chart a sweep, single photos in a table."""
+    groups = [list(group) for _, group in groupby(photos, key=lambda photo: (photo.set, photo.sweep))]
+    sweeps = [group for group in groups if len(group) > 1]
+    singles = tuple(
+        (
+            photo.set,
+            photo.sweep,
+            number(float(photo.brightest)),
+            f"{number(100 * photo.saturated_share)} %",
+        )
+        for group in groups
+        if len(group) == 1
+        for photo in group
+    )
+    # One scale for all, so that a dim set is seen to be dim.
+    top = round_up(max((photo.brightest for photo in photos), default=1.0) / 10) * 10
+    share_top = round_up(max(0.1, *(100 * photo.saturated_share for photo in photos))) if photos else 1.0
+    return Panel(
+        "photos",
+        "Quality photo by photo",
+        "photos.html.j2",
+        {
+            "strips": [photo_strip(group, top=top, share_top=share_top) for group in sweeps],
+            "singles": Table(("Set", "Photo", "Brightest", "Saturated"), singles, (2, 3)),
+            "size": (STRIP_WIDTH, STRIP_HEIGHT, SHARE_HEIGHT, LEFT, RIGHT),
+            "count": len(photos),
+        },
+        "Upper line: the brightest value in each photo of a sweep. Lower area: the share of saturated pixels, in per cent of the "
+        "photo.",
+        "Smooth lines of the same height in air and in liquid, with next to nothing saturated.",
+        "A notch (a photo of the frame before, or a blank one), a jump (the exposure or the room's light changed), or saturation.",
+        missing="" if photos else "The run recorded no quality of single photos.",
+    )
+
+
+def capture_section(metrics: Metrics) -> Section:
+    """Return the section about the photos."""
+    return Section("capture", "Capture", (curves_panel(metrics.curves), photos_panel(metrics.photos)))

@@ -1,0 +1,203 @@
+"""Maps on the camera grid as PNG pictures with a colour bar, once for a light page and once for a dark one."""
+
+import io
+from collections.abc import Callable
+from dataclasses import dataclass
+from typing import Any
+
+import matplotlib
+import numpy as np
+from jaxtyping import Bool, Float, Float64, UInt8
+from matplotlib.axes import Axes
+from matplotlib.backends.backend_agg import FigureCanvasAgg
+from matplotlib.colors import BoundaryNorm, ListedColormap, LogNorm, Normalize
+from matplotlib.figure import Figure
+
+from recon.status import PixelStatus
+
+# Ink and ground of the two themes of style.css.
+THEMES = {"light": ("#24292f", "#e8eaed"), "dark": ("#d5dae0", "#2b313a")}
+FIGURE_WIDTH_IN = 6.4
+# A limit set by one outlier in a hundred says nothing about the surface.
+LIMIT_PERCENTILES = (1.0, 99.0)
+Draw = Callable[[Figure, Axes], None]
+
+STATUS_COLOURS: dict[PixelStatus, str] = {
+    PixelStatus.OK: "#2a9d8f",
+    PixelStatus.UNLIT: "#5c6773",
+    PixelStatus.PARTLY_LIT: "#e9c46a",
+    PixelStatus.MASKED_OUT: "#b8bec6",
+    PixelStatus.SWEEP_EDGE: "#f4843d",
+    PixelStatus.BAD_FIT: "#d1345b",
+    PixelStatus.PARALLEL_PATHS: "#8e5bd0",
+    PixelStatus.GAP_TOO_LARGE: "#ef8fc4",
+    PixelStatus.OUTSIDE_DEPTH: "#2667c9",
+    PixelStatus.BESIDE_OBJECT: "#8ecae6",
+}
+
+
+@dataclass(frozen=True, slots=True)
+class Picture:
+    """One figure in both themes, with the words for those who cannot see it."""
+
+    light_png: bytes
+    dark_png: bytes
+    alt: str
+    width: int
+    height: int
+
+
+@dataclass(frozen=True, slots=True)
+class Window:
+    """A rectangle of the camera grid and the step at which it is shown."""
+
+    row_start: int
+    row_stop: int
+    col_start: int
+    col_stop: int
+    step: int
+
+    @property
+    def extent(self) -> tuple[float, float, float, float]:
+        """Edges in camera pixels for ``imshow``: left, right, bottom, top."""
+        return (self.col_start - 0.5, self.col_stop - 0.5, self.row_stop - 0.5, self.row_start - 0.5)
+
+    def cut(self, grid: np.ndarray) -> np.ndarray:
+        """Return the part of a map, thinned to the step."""
+        return grid[self.row_start : self.row_stop : self.step, self.col_start : self.col_stop : self.step]
+
+
+def window_around(wanted: Bool[np.ndarray, "rows cols"], *, longest_px: int) -> Window:
+    """Return the rectangle that holds every wanted pixel with a little room, thinned to ``longest_px``."""
+    rows, cols = (np.flatnonzero(wanted.any(axis=axis)) for axis in (1, 0))
+    if rows.size == 0:
+        bounds = (0, wanted.shape[0], 0, wanted.shape[1])
+    else:
+        room = 2 + max(np.ptp(rows), np.ptp(cols)) // 40
+        bounds = (
+            max(0, int(rows[0] - room)),
+            min(wanted.shape[0], int(rows[-1] + room + 1)),
+            max(0, int(cols[0] - room)),
+            min(wanted.shape[1], int(cols[-1] + room + 1)),
+        )
+    longest = max(bounds[1] - bounds[0], bounds[3] - bounds[2])
+    return Window(*bounds, step=max(1, -(-longest // longest_px)))
+
+
+def limits(values: Float[np.ndarray, "rows cols"], *, symmetric: bool = False) -> tuple[float, float]:
+    """Return the colour limits: the 1st and 99th percentile, or a range about zero that holds 98 %."""
+    finite = values[np.isfinite(values)].astype(np.float64)
+    if symmetric:
+        reach = float(np.percentile(np.abs(finite), 98)) or 1e-9
+        return -reach, reach
+    low, high = (float(value) for value in np.percentile(finite, LIMIT_PERCENTILES))
+    if high - low <= 1e-9 * max(abs(low), abs(high), 1e-9):
+        # A perfectly flat map still needs a scale.
+        margin = 0.5 * max(abs(low), 1e-6)
+        return low - margin, high + margin
+    return low, high
+
+
+def scalar_picture(
+    values: Float[np.ndarray, "rows cols"],
+    window: Window,
+    *,
+    label: str,
+    alt: str,
+    colours: str,
+    symmetric: bool = False,
+    logarithmic: bool = False,
+) -> Picture:
+    """Draw a map of one number a pixel; pixels without a value show the ground."""
+    shown = window.cut(values)
+    low, high = limits(values, symmetric=symmetric)
+    norm = LogNorm(max(low, high / 1e4, 1e-12), high) if logarithmic and high > 0 else Normalize(low, high)
+
+    def draw(figure: Figure, axes: Axes) -> None:
+        image = axes.imshow(shown, extent=window.extent, cmap=colours, norm=norm, interpolation="nearest")
+        bar = figure.colorbar(image, ax=axes, extend="both", pad=0.03, fraction=0.05, aspect=26)
+        bar.set_label(label)
+        bar.outline.set_visible(False)
+
+    return _both_themes(draw, window, alt)
+
+
+def normal_picture(normal: Float64[np.ndarray, "rows cols 3"], window: Window, *, alt: str) -> Picture:
+    """Draw normals as colours: x red, y green, -z blue, from -1 (none) to 1 (full), with a half ball as the key."""
+    shown = normal_colours(window.cut(normal))
+
+    def draw(figure: Figure, axes: Axes) -> None:
+        axes.imshow(shown, extent=window.extent, interpolation="nearest")
+        key = figure.add_axes((0.855, 0.4, 0.13, 0.2))
+        x, y = np.meshgrid(np.linspace(-1, 1, 121), np.linspace(1, -1, 121))
+        inside = x**2 + y**2 <= 1
+        z = -np.sqrt(np.maximum(1 - x**2 - y**2, 0))
+        ball = np.where(inside[..., None], np.stack([x, y, z], axis=-1), np.nan)
+        key.imshow(normal_colours(ball), extent=(-1, 1, -1, 1))
+        key.set_axis_off()
+        key.text(0, 1.18, "up", ha="center", va="bottom", fontsize=8)
+        key.text(0, -1.18, "down", ha="center", va="top", fontsize=8)
+        key.text(0, 1.75, "tilts to", ha="center", va="bottom", fontsize=8)
+        key.text(0, -1.75, "left ↔ right", ha="center", va="top", fontsize=8)
+
+    return _both_themes(draw, window, alt, right=0.83)
+
+
+def normal_colours(normal: Float64[np.ndarray, "*grid 3"]) -> UInt8[np.ndarray, "*grid 4"]:
+    """Return the colour of each normal with alpha 0 where there is none.
+
+    Normals are in the frame of the report, where they point towards the display (z < 0), so -z is the blue part.
+    """
+    known = np.isfinite(normal).all(axis=-1)
+    parts = np.where(known[..., None], normal, 0.0) * np.array([1.0, 1.0, -1.0])
+    colours = np.round(255 * (0.5 + 0.5 * np.clip(parts, -1, 1)))
+    return np.concatenate([colours, 255.0 * known[..., None]], axis=-1).astype(np.uint8)
+
+
+def status_picture(status: UInt8[np.ndarray, "rows cols"], *, longest_px: int, alt: str) -> Picture:
+    """Draw why each pixel has a point or has none; the key to the colours is a table beside it."""
+    window = window_around(np.ones(status.shape, dtype=bool), longest_px=longest_px)
+    reasons = list(STATUS_COLOURS)
+    colours = ListedColormap([STATUS_COLOURS[reason] for reason in reasons])
+    norm = BoundaryNorm(np.arange(len(reasons) + 1) - 0.5, len(reasons))
+
+    def draw(_figure: Figure, axes: Axes) -> None:
+        axes.imshow(window.cut(status), extent=window.extent, cmap=colours, norm=norm, interpolation="nearest")
+
+    return _both_themes(draw, window, alt, right=0.985)
+
+
+def _both_themes(draw: Draw, window: Window, alt: str, *, right: float | None = None) -> Picture:
+    """Render one drawing with the inks of the light and of the dark page."""
+    rows, cols = window.row_stop - window.row_start, window.col_stop - window.col_start
+    height_in = float(np.clip(0.82 * FIGURE_WIDTH_IN * rows / cols + 0.55, 2.2, 7.0))
+    pictures: dict[str, bytes] = {}
+    for theme, (ink, ground) in THEMES.items():
+        inks: Any = {
+            "text.color": ink,
+            "axes.labelcolor": ink,
+            "axes.edgecolor": ink,
+            "xtick.color": ink,
+            "ytick.color": ink,
+            "axes.facecolor": ground,
+            "font.size": 9,
+            "axes.linewidth": 0.5,
+            "xtick.major.width": 0.5,
+            "ytick.major.width": 0.5,
+        }
+        with matplotlib.rc_context(inks):
+            figure = Figure(figsize=(FIGURE_WIDTH_IN, height_in), dpi=150, layout=None if right else "constrained")
+            FigureCanvasAgg(figure)
+            axes = figure.add_subplot()
+            if right:
+                figure.subplots_adjust(left=0.1, right=right, bottom=0.5 / height_in, top=1 - 0.08 / height_in)
+            draw(figure, axes)
+            axes.set_xlabel("camera column (px)")
+            axes.set_ylabel("camera row (px)")
+            for side in ("top", "right"):
+                axes.spines[side].set_visible(False)
+            buffer = io.BytesIO()
+            figure.savefig(buffer, format="png", transparent=False, facecolor="none", metadata={"Software": None})
+            pictures[theme] = buffer.getvalue()
+    width = round(FIGURE_WIDTH_IN * 150)
+    return Picture(pictures["light"], pictures["dark"], alt, width, round(height_in * 150))

@@ -1,0 +1,189 @@
+"""The maps on the camera grid: depth, normal, angle between the paths, gap, sd and status."""
+
+from dataclasses import dataclass
+
+import numpy as np
+from jaxtyping import Float, UInt8
+
+from recon.manifest import Manifest
+from recon.maps import Maps
+from recon.report.display_frame import frame_from_world, rotate, transform_points
+from recon.report.map_pictures import (
+    STATUS_COLOURS,
+    Picture,
+    normal_picture,
+    scalar_picture,
+    status_picture,
+    window_around,
+)
+from recon.report.numbers import LengthUnit, number, share
+from recon.report.panel import Panel, Section
+from recon.status import REASONS, PixelStatus
+
+
+@dataclass(frozen=True, slots=True)
+class ScalarMap:
+    """How one map of a number a pixel is shown and what its reader should look for."""
+
+    id: str
+    title: str
+    what: str
+    good: str
+    bad: str
+    label: str
+    colours: str
+    none: str
+    symmetric: bool = False
+    logarithmic: bool = False
+
+
+def scalar_maps(unit: LengthUnit, *, with_gap_sign: bool) -> tuple[ScalarMap, ...]:
+    """Return the settings of the scalar maps, in the unit of the session."""
+    length = unit.label
+    return (
+        ScalarMap(
+            "depth",
+            "Depth",
+            "Distance of each point from the plane of the display at position 0, towards the camera.",
+            "Smooth shading that follows the object, with clean edges.",
+            "Speckle, stair steps, or a slope that the object does not have (a display pose that is wrong).",
+            f"depth ({length})",
+            "viridis",
+            "No pixel has a point.",
+        ),
+        ScalarMap(
+            "angle",
+            "Angle between the two light paths",
+            "How far the liquid bends each path away from its course in air; point and normal rest on this angle.",
+            "Several degrees over most of the object.",
+            "Large areas near zero: there the paths are almost parallel and the point is uncertain along them.",
+            "angle (°)",
+            "cividis",
+            "No pixel has two paths.",
+        ),
+        ScalarMap(
+            "gap",
+            "Gap between the two light paths",
+            "The distance by which the path in air and the path in liquid miss each other; they should meet."
+            + (" Its sign tells on which side." if with_gap_sign else ""),
+            "Fine noise about zero without any pattern.",
+            "A slope, rings or one colour all over: the display or the object moved between sets, or a pose is wrong.",
+            f"gap ({length})",
+            "RdBu_r" if with_gap_sign else "magma",
+            "No pixel has two paths.",
+            symmetric=with_gap_sign,
+        ),
+        ScalarMap(
+            "sd",
+            "Standard deviation of each point",
+            "The uncertainty of each point as propagated from its correspondences (root of the covariance's trace).",
+            "Dark over most of the object, growing only where the angle between the paths is small.",
+            "Bright areas: points there should be left out or weighted down.",
+            f"sd ({length}, logarithmic)",
+            "magma",
+            "The reconstruction gave no standard deviations.",
+            logarithmic=True,
+        ),
+    )
+
+
+def map_section(maps: Maps, manifest: Manifest, *, unit: LengthUnit, longest_px: int) -> Section:
+    """Return the section of maps; ``longest_px`` bounds the samples along a picture's longer side."""
+    frame = frame_from_world(manifest)
+    values: dict[str, Float[np.ndarray, "rows cols"]] = {
+        "depth": transform_points(frame, maps.point_mm)[..., 2],
+        "angle": np.degrees(maps.pbc_angle_rad),
+        "gap": maps.gap_mm,
+        "sd": maps.sd_mm,
+    }
+    signed = bool((maps.gap_mm[np.isfinite(maps.gap_mm)] < 0).any())
+    panels = [_scalar_panel(each, values[each.id], longest_px) for each in scalar_maps(unit, with_gap_sign=signed)]
+    panels.insert(1, _normal_panel(rotate(frame, maps.normal), longest_px))
+    panels.append(_status_panel(maps.status, longest_px))
+    return Section(
+        "maps",
+        "Maps",
+        tuple(panels),
+        "Each map has one value a camera pixel and is cut to the pixels that have one; axes are pixels of the photo. "
+        "The colours span the 1st to the 99th percentile, so that a few outliers do not hide the rest.",
+    )
+
+
+def _scalar_panel(settings: ScalarMap, values: Float[np.ndarray, "rows cols"], longest_px: int) -> Panel:
+    finite = np.isfinite(values)
+    picture: Picture | None = None
+    step = 1
+    if finite.any():
+        window = window_around(finite, longest_px=longest_px)
+        step = window.step
+        low, middle, high = (number(float(v)) for v in np.percentile(values[finite].astype(np.float64), (5, 50, 95)))
+        picture = scalar_picture(
+            values,
+            window,
+            label=settings.label,
+            alt=f"Map of {settings.label}: median {middle}, 5 % below {low}, 5 % above {high}.",
+            colours=settings.colours,
+            symmetric=settings.symmetric,
+            logarithmic=settings.logarithmic,
+        )
+    return Panel(
+        settings.id,
+        settings.title,
+        "map.html.j2",
+        {"picture": picture, "step": step},
+        settings.what,
+        settings.good,
+        settings.bad,
+        missing="" if picture else settings.none,
+        wide=False,
+    )
+
+
+def _normal_panel(normal: Float[np.ndarray, "rows cols 3"], longest_px: int) -> Panel:
+    known = np.isfinite(normal).all(axis=-1)
+    picture, step = None, 1
+    if known.any():
+        window = window_around(known, longest_px=longest_px)
+        step = window.step
+        tilt_deg = np.degrees(np.arccos(np.clip(-normal[known][:, 2], -1, 1)))
+        picture = normal_picture(
+            normal,
+            window,
+            alt="Map of normals as colours; their "
+            f"median tilt from the display's axis is {number(float(np.median(tilt_deg)))}°.",
+        )
+    return Panel(
+        "normal",
+        "Normals",
+        "map.html.j2",
+        {"picture": picture, "step": step},
+        "The direction of the surface. The ball is the key: lilac faces the display, other colours tilt away from it.",
+        "Colours that change as smoothly as on the ball, with sharp changes only at the object's edges.",
+        "Speckle, or blotches of one colour where the surface is known to curve.",
+        missing="" if picture else "No pixel has a normal.",
+        wide=False,
+    )
+
+
+def _status_panel(pixel_status: UInt8[np.ndarray, "rows cols"], longest_px: int) -> Panel:
+    found, counts = np.unique(pixel_status, return_counts=True)
+    count_of = dict(zip(found.tolist(), counts.tolist(), strict=True))
+    rows = [
+        (STATUS_COLOURS[status], status.name.lower().replace("_", " "), REASONS[status], count_of.get(int(status), 0))
+        for status in PixelStatus
+    ]
+    with_point = share(count_of.get(int(PixelStatus.OK), 0), pixel_status.size)
+    picture = status_picture(
+        pixel_status,
+        longest_px=longest_px,
+        alt=f"Map of the reason why each pixel has a point or has none; {with_point} of the photo has a point.",
+    )
+    return Panel(
+        "status",
+        "Why a pixel has a point, or has none",
+        "status.html.j2",
+        {"picture": picture, "rows": rows, "total": int(pixel_status.size)},
+        "The first test that a pixel fails names its colour. The whole photo is shown.",
+        "One closed area with points, and unlit pixels only where the photo does not show the display.",
+        "Holes inside the object: look up their colour in the key and see what it names.",
+    )

@@ -1,0 +1,93 @@
+"""Numbers as a person reads them: three significant digits, a unit, and a dash where there is nothing."""
+
+import math
+from dataclasses import dataclass
+
+NOTHING = "—"
+SUPERSCRIPT = str.maketrans("-0123456789", "⁻⁰¹²³⁴⁵⁶⁷⁸⁹")
+
+
+@dataclass(frozen=True, slots=True)
+class LengthUnit:
+    """How a stored millimetre is called on the page: mm, or scene unit for a session without physical units."""
+
+    label: str
+    physical: bool
+
+    @classmethod
+    def of(cls, name: str) -> "LengthUnit":
+        """Return the unit of a manifest's ``length_unit``."""
+        return cls("mm", True) if name == "mm" else cls("scene units", False)
+
+    def rename(self, unit: str) -> str:
+        """Return ``unit`` with mm replaced where the session has no physical length."""
+        return unit if self.physical else " ".join(self.label if word == "mm" else word for word in unit.split())
+
+
+def number(value: float | None, digits: int = 3) -> str:
+    """Write a number with ``digits`` significant digits, and whole numbers in full.
+
+    Examples
+    --------
+    >>> number(0.04127), number(1234567), number(-12.0), number(0.00001234), number(float("nan"))
+    ('0.0413', '1,234,567', '−12.0', '1.23 × 10⁻⁵', '—')
+    """
+    if value is None or (isinstance(value, float) and not math.isfinite(value)):
+        return NOTHING
+    if isinstance(value, int):
+        return f"{value:,}".replace("-", "−")
+    if value == 0:
+        return "0"
+    mantissa, _, exponent_text = f"{value:.{digits - 1}e}".partition("e")
+    exponent = int(exponent_text)
+    if not -4 <= exponent < 6:
+        return f"{mantissa} × 10{str(exponent).translate(SUPERSCRIPT)}".replace("-", "−", 1)
+    rounded = float(f"{mantissa}e{exponent_text}")
+    return f"{rounded:,.{max(0, digits - 1 - exponent)}f}".replace("-", "−")
+
+
+def share(part: float, whole: float) -> str:
+    """Write a part of a whole in per cent; only everything is 100 %, and only nothing is 0 %.
+
+    Examples
+    --------
+    >>> share(946, 1000), share(99_999, 100_000), share(1, 1_000_000), share(0, 0)
+    ('94.6 %', '> 99.9 %', '< 0.01 %', '—')
+    """
+    if not whole:
+        return NOTHING
+    percent = 100 * part / whole
+    if part and percent < 0.01:
+        return "< 0.01 %"
+    if part != whole and percent > 99.9:
+        return "> 99.9 %"
+    return f"{number(float(percent))} %"
+
+
+def duration(seconds: float) -> str:
+    """Write a duration in the largest units that matter.
+
+    Examples
+    --------
+    >>> duration(0.0421), duration(75.2), duration(3900)
+    ('42.1 ms', '1 min 15 s', '1 h 05 min')
+    """
+    if not math.isfinite(seconds):
+        return NOTHING
+    if seconds < 1:
+        return f"{number(1000 * seconds)} ms"
+    if seconds < 60:
+        return f"{number(float(seconds))} s"
+    minutes, rest = divmod(round(seconds), 60)
+    return f"{minutes} min {rest:02d} s" if minutes < 60 else f"{minutes // 60} h {minutes % 60:02d} min"
+
+
+def memory(megabytes: float) -> str:
+    """Write an amount of memory in MB or GB.
+
+    Examples
+    --------
+    >>> memory(512.4), memory(14_300.0)
+    ('512 MB', '14.3 GB')
+    """
+    return f"{number(megabytes / 1000)} GB" if megabytes >= 1000 else f"{number(float(megabytes))} MB"

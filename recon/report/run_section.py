@@ -1,0 +1,158 @@
+"""How the numbers came about: warnings, devices, parameters, times, versions and hashes."""
+
+from collections.abc import Mapping
+
+from recon.manifest import Manifest
+from recon.metrics import Metrics
+from recon.report.numbers import duration, memory, number
+from recon.report.panel import Banner, Panel, Section, Table
+
+KINDS = {
+    "real": "real",
+    "simulated": "simulated in the program",
+    "emulated": "emulated: the real driver spoke to a program",
+    "unknown": "not recorded",
+}
+
+
+def device_banners(manifest: Manifest) -> tuple[Banner, ...]:
+    """Return the line that tells a simulation from a laboratory; none where every device was real."""
+    devices = manifest.provenance.devices
+    pretended = {name: device.kind for name, device in devices.items() if device.kind in ("simulated", "emulated")}
+    unknown = [name for name, device in devices.items() if device.kind == "unknown"]
+    if pretended:
+        every = len(pretended) == len(devices)
+        names = ", ".join(f"{name} {kind}" for name, kind in pretended.items())
+        return (
+            Banner(
+                "Simulated session." if every else "Partly simulated session.",
+                f"{'No device was real' if every else 'Not every device was real'} ({names}). "
+                "These results describe a simulation, not an object in a laboratory.",
+                True,
+            ),
+        )
+    if unknown or not devices:
+        named = f"of {', '.join(unknown)} " if unknown else ""
+        return (
+            Banner("Origin not recorded.", f"The session does not say whether its devices {named}were real.", False),
+        )
+    return ()
+
+
+def devices_panel(manifest: Manifest) -> Panel:
+    """Return which devices took part and which of them were real."""
+    rows = tuple(
+        (name, KINDS[device.kind], device.model, device.version, device.address)
+        for name, device in manifest.provenance.devices.items()
+    )
+    return Panel(
+        "devices",
+        "Devices",
+        "table.html.j2",
+        {"table": Table(("Device", "Was", "Model", "Version", "Address"), rows)},
+        "What the session says of the devices that took it.",
+        "Every device real, with model and version.",
+        "Simulated or emulated devices in a session that claims to show a real object.",
+        missing="" if rows else "The session names no devices. " + (manifest.provenance.note or ""),
+    )
+
+
+def flatten(values: Mapping[str, object], prefix: str = "") -> list[tuple[str, str]]:
+    """Return nested settings as rows of a dotted name and a value.
+
+    Examples
+    --------
+    >>> flatten({"gap": {"limit_mm": 0.5}, "axes": ["x", "y"]})
+    [('gap.limit_mm', '0.5'), ('axes', 'x, y')]
+    """
+    rows: list[tuple[str, str]] = []
+    for key, value in values.items():
+        if isinstance(value, Mapping) and value:
+            rows += flatten(value, f"{prefix}{key}.")
+        elif isinstance(value, list | tuple):
+            rows.append((f"{prefix}{key}", ", ".join(str(part) for part in value)))
+        else:
+            rows.append((f"{prefix}{key}", str(value)))
+    return rows
+
+
+def _table_panel(id: str, title: str, headings: tuple[str, ...], rows: list[tuple[str, str]], none: str) -> Panel:
+    """Return a plain table of names and values."""
+    data = {"table": Table(headings, tuple(rows))}
+    return Panel(id, title, "table.html.j2", data, missing="" if rows else none, wide=False)
+
+
+def stages_panel(metrics: Metrics) -> Panel:
+    """Return time and peak memory of each stage as bars."""
+    total_s = sum(stage.wall_s for stage in metrics.stages)
+    longest_s = max((stage.wall_s for stage in metrics.stages), default=0.0) or 1.0
+    largest_mb = max((stage.peak_mb for stage in metrics.stages), default=0.0)
+    bars = [
+        {
+            "name": stage.name,
+            "time": duration(stage.wall_s),
+            "memory": memory(stage.peak_mb),
+            "width": 100 * stage.wall_s / longest_s,
+            "memory_width": 100 * stage.peak_mb / (largest_mb or 1.0),
+        }
+        for stage in metrics.stages
+    ]
+    return Panel(
+        "stages",
+        "Time and memory",
+        "stages.html.j2",
+        {"bars": bars, "total": duration(total_s), "largest": memory(largest_mb)},
+        f"{number(len(bars))} stages took {duration(total_s)} in all; peak memory is that of the whole program.",
+        missing="" if bars else "The run recorded no times.",
+    )
+
+
+def run_section(metrics: Metrics, manifest: Manifest) -> Section:
+    """Return the section that lets another person repeat the run."""
+    return Section(
+        "run",
+        "How it was made",
+        (
+            devices_panel(manifest),
+            stages_panel(metrics),
+            _table_panel(
+                "parameters",
+                "Parameters",
+                ("Parameter", "Value"),
+                [("method", metrics.method), *flatten(metrics.parameters)],
+                "",
+            ),
+            _table_panel(
+                "versions",
+                "Versions",
+                ("Software", "Version"),
+                [*metrics.versions.items(), *((f"{k} (capture)", v) for k, v in manifest.provenance.software.items())],
+                "The run recorded no versions.",
+            ),
+            _table_panel(
+                "hashes",
+                "Hashes of inputs",
+                ("Input", "Hash"),
+                list(metrics.hashes.items()),
+                "The run recorded no hashes.",
+            ),
+        ),
+        "Enough to repeat the run and to check that the same files went in.",
+    )
+
+
+def warnings_section(metrics: Metrics) -> Section:
+    """Return what the run warned of; it comes right after the verdict."""
+    return Section(
+        "warnings",
+        f"Warnings ({len(metrics.warnings)})",
+        (
+            Panel(
+                "warnings",
+                "",
+                "warnings.html.j2",
+                {"warnings": metrics.warnings},
+                missing="" if metrics.warnings else "The run gave no warning.",
+            ),
+        ),
+    )

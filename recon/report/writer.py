@@ -1,0 +1,132 @@
+"""Write ``report.html`` for one reconstruction."""
+
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+
+import numpy as np
+from jaxtyping import Float, Integer
+
+from recon.errors import ReconError
+from recon.manifest import Manifest
+from recon.maps import Maps
+from recon.metrics import Metrics
+from recon.report.capture_section import capture_section
+from recon.report.map_section import map_section
+from recon.report.methods_section import methods_section
+from recon.report.numbers import LengthUnit, duration, number, share
+from recon.report.page import render_page
+from recon.report.panel import Banner
+from recon.report.result_section import result_section
+from recon.report.run_section import device_banners, run_section, warnings_section
+from recon.report.setup_section import setup_section
+
+REPORT_NAME = "report.html"
+# Mail servers and review systems refuse larger attachments.
+LIMIT_BYTES = 10_000_000
+# Samples along the longer side of a map; the next is tried where the page would be too large.
+LONGEST_PX = (900, 600, 350)
+
+# Vertices in mm, triangles as indices of vertices, and one normal a vertex.
+Mesh = tuple[Float[np.ndarray, "vertices 3"], Integer[np.ndarray, "faces 3"], Float[np.ndarray, "vertices 3"]]
+
+
+def write_report(
+    out_dir: Path,
+    *,
+    maps: Maps,
+    metrics: Metrics,
+    manifest: Manifest,
+    mesh: Mesh | None,
+    evaluation: Sequence[Mapping[str, object]] = (),
+) -> Path:
+    """Write ``report.html`` into ``out_dir`` and return its path.
+
+    Parameters
+    ----------
+    out_dir:
+        An existing folder.
+    maps, metrics, manifest:
+        The result, its numbers, and the session's manifest.
+    mesh:
+        Vertices, faces and normals in the frame of ``maps``, or None where no surface was made.
+    evaluation:
+        One mapping a fitted primitive or comparison; its keys become the columns, and an ending such as ``_mm`` or ``_deg``
+        becomes the unit in the heading.
+
+    Raises
+    ------
+    ReconError
+        When the file cannot be written, in one sentence.
+    """
+    page = ""
+    for longest_px in LONGEST_PX:
+        page = report_page(maps, metrics, manifest, mesh, evaluation, longest_px=longest_px)
+        if len(page.encode()) < LIMIT_BYTES:
+            break
+    path = out_dir / REPORT_NAME
+    try:
+        path.write_text(page, encoding="utf-8")
+    except OSError as error:
+        raise ReconError(f"{path}: the report cannot be written ({error.strerror})") from error
+    return path
+
+
+def report_page(
+    maps: Maps,
+    metrics: Metrics,
+    manifest: Manifest,
+    mesh: Mesh | None,
+    evaluation: Sequence[Mapping[str, object]],
+    *,
+    longest_px: int,
+) -> str:
+    """Return the page as text; ``longest_px`` bounds the samples along the longer side of each map."""
+    unit = LengthUnit.of(manifest.length_unit)
+    sections = (
+        warnings_section(metrics),
+        result_section(metrics, unit=unit, evaluation=evaluation),
+        map_section(maps, manifest, unit=unit, longest_px=longest_px),
+        capture_section(metrics),
+        setup_section(manifest, maps, unit=unit),
+        run_section(metrics, manifest),
+        methods_section(manifest, metrics, unit=unit),
+    )
+    return render_page(
+        metrics.session,
+        kind="Reconstruction report",
+        subtitle=f"{manifest.object.name} · captured {manifest.created} · method “{metrics.method}”",
+        sections=sections,
+        banners=(*device_banners(manifest), *unit_banners(unit)),
+        verdict=metrics.verdict,
+        tiles=tiles(maps, metrics, unit),
+    )
+
+
+def unit_banners(unit: LengthUnit) -> tuple[Banner, ...]:
+    """Return the line that keeps a reader from taking scene units for millimetres."""
+    if unit.physical:
+        return ()
+    text = "This session has no physical unit of length: one scene unit is stored as 1 mm in every file (fields named _mm)."
+    return (Banner("Lengths are in scene units.", text, False),)
+
+
+def tiles(maps: Maps, metrics: Metrics, unit: LengthUnit) -> tuple[tuple[str, str, str], ...]:
+    """Return the few numbers that a reader looks for first."""
+    funnel = metrics.funnel
+    sd = maps.sd_mm[np.isfinite(maps.sd_mm)]
+    gap = maps.gap_mm[maps.valid() & np.isfinite(maps.gap_mm)]
+    found = [
+        ("Points with normals", number(funnel.normals), f"{share(funnel.normals, funnel.lit)} of the lit pixels"),
+        (
+            "Standard deviation",
+            f"{number(float(np.median(sd)))} {unit.label}" if sd.size else "—",
+            "median of the points",
+        ),
+        (
+            "Gap between paths",
+            f"{number(float(np.median(np.abs(gap))))} {unit.label}" if gap.size else "—",
+            "median of its size",
+        ),
+        ("Time", duration(sum(stage.wall_s for stage in metrics.stages)), f"{number(len(metrics.warnings))} warnings"),
+    ]
+    return tuple(found)
