@@ -1,0 +1,245 @@
+"""The configuration of a rig: a TOML file for a person, a frozen tree of values for the program.
+
+This module is the only place of ``rig`` that parses a configuration; past it, values are trusted. ``rig init`` writes
+a file with every value, its unit and its meaning (``template.toml``). Parts that a session's manifest also holds are
+the manifest's own classes, so that a value means the same in both.
+"""
+
+import math
+import tomllib
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Annotated, Literal, Self
+
+from pydantic import Field, ValidationError, model_validator
+
+from recon.manifest import (
+    Axis,
+    CameraBody,
+    DisplayPanel,
+    Finite,
+    Index,
+    Liquid,
+    Part,
+    Pose,
+    Positive,
+    ScannedObject,
+    StripePattern,
+)
+from rig.errors import ConfigError
+
+NotNegative = Annotated[float, Field(ge=0, allow_inf_nan=False)]
+DEFAULT_FILE = Path("rig.toml")
+
+
+class Stripe(Part):
+    """The bright stripe: its profile, width and step, in device pixels of the display."""
+
+    profile: Literal["hard", "raised_cosine"]
+    width_px: Positive
+    step_px: Positive
+
+
+class SweptArea(Part):
+    """Where the stripe's centre goes: first and last device pixel along each axis, both included."""
+
+    first_column_px: NotNegative
+    last_column_px: NotNegative
+    first_row_px: NotNegative
+    last_row_px: NotNegative
+
+
+class Capture(Part):
+    """What is photographed, and in which order the four sets come."""
+
+    order: Literal["one_fill", "paper"] = "one_fill"
+    stripe: Stripe
+    swept: SweptArea
+
+
+class Tank(Part):
+    """The tank, its reservoir and its pump. ``fill_ml`` immerses the display side of the object."""
+
+    free_volume_ml: Positive
+    fill_ml: Positive
+    reservoir_ml: Positive
+    has_pump: bool
+    pump_rate_ml_per_min: Positive
+    drain_at_end: bool
+
+    @model_validator(mode="after")
+    def _cannot_overflow(self) -> Self:
+        if self.fill_ml > self.free_volume_ml:
+            raise ValueError(
+                f"fill_ml is {self.fill_ml:g}, the tank's free_volume_ml is {self.free_volume_ml:g}; fill less"
+            )
+        if self.reservoir_ml > self.free_volume_ml:
+            raise ValueError(
+                f"reservoir_ml is {self.reservoir_ml:g}, more than the tank's free_volume_ml of "
+                f"{self.free_volume_ml:g}: a pump that does not stop would flood the room; put less into the reservoir"
+            )
+        if self.reservoir_ml < self.fill_ml:
+            raise ValueError(
+                f"reservoir_ml is {self.reservoir_ml:g}, less than fill_ml of {self.fill_ml:g}; "
+                "put more into the reservoir"
+            )
+        return self
+
+
+class StageTravel(Part):
+    """The linear stage: where position 0 and position 1 are, how far it may go and how fast it is."""
+
+    position_0_mm: Finite
+    position_1_mm: Finite
+    travel_mm: tuple[Finite, Finite]
+    velocity_mm_per_s: Positive
+
+    @model_validator(mode="after")
+    def _positions_lie_within_travel(self) -> Self:
+        low_mm, high_mm = self.travel_mm
+        for name, position_mm in (("position_0_mm", self.position_0_mm), ("position_1_mm", self.position_1_mm)):
+            if not low_mm <= position_mm <= high_mm:
+                raise ValueError(f"{name} is {position_mm:g}, travel_mm is {low_mm:g} to {high_mm:g}")
+        if self.position_0_mm == self.position_1_mm:
+            raise ValueError(f"position_0_mm and position_1_mm are both {self.position_0_mm:g}; they must differ")
+        return self
+
+    def position_mm(self, position: Literal[0, 1]) -> float:
+        """Return where display position 0 or 1 is on the stage."""
+        return self.position_1_mm if position else self.position_0_mm
+
+
+class Timing(Part):
+    """How long things take, and how long to let them come to rest."""
+
+    photo_s: Positive
+    settle_s: NotNegative
+    still_after_move_s: NotNegative
+    still_after_fill_s: NotNegative
+    photo_mb: Positive
+
+
+class DeviceAddresses(Part):
+    """Driver and address of each real device, such as ``grbl:/dev/ttyUSB0``; empty where there is none."""
+
+    camera: str = ""
+    display: str = ""
+    stage: str = ""
+    pump: str = ""
+
+
+class RigConfig(Part):
+    """Everything a capture needs to know."""
+
+    name: Annotated[str, Field(min_length=1)]
+    method: Literal["liquid", "thin"]
+    length_unit: Literal["mm", "scene unit"] = "mm"
+    object: ScannedObject
+    n_air: Index
+    liquid: Liquid | None = None
+    display: DisplayPanel
+    display_poses: tuple[Pose, Pose]
+    camera: CameraBody
+    capture: Capture
+    tank: Tank | None = None
+    stage: StageTravel
+    timing: Timing
+    devices: DeviceAddresses = DeviceAddresses()
+
+    @model_validator(mode="after")
+    def _method_has_what_it_needs(self) -> Self:
+        if self.method == "liquid" and (self.liquid is None or self.tank is None):
+            missing = "liquid" if self.liquid is None else "tank"
+            raise ValueError(f"method 'liquid' needs the section [{missing}]; add it, or choose method 'thin'")
+        if self.method == "thin" and self.object.n is None:
+            raise ValueError("method 'thin' needs the object's refractive index (n in section [object])")
+        return self
+
+    @model_validator(mode="after")
+    def _sweep_stays_on_the_panel(self) -> Self:
+        for axis in ("x", "y"):
+            self.pattern(axis)
+        return self
+
+    def device_px(self, axis: Axis) -> int:
+        """Return how many device pixels the display has along ``axis``."""
+        return self.display.columns if axis == "x" else self.display.rows
+
+    def pattern(self, axis: Axis) -> StripePattern:
+        """Return the stripe pattern of the sweep along ``axis``; the last place may fall short by less than a step."""
+        stripe, swept = self.capture.stripe, self.capture.swept
+        noun = "column" if axis == "x" else "row"
+        first_px = swept.first_column_px if axis == "x" else swept.first_row_px
+        last_px = swept.last_column_px if axis == "x" else swept.last_row_px
+        if last_px > self.device_px(axis) - 1:
+            raise ValueError(f"last_{noun}_px is {last_px:g}, the display's last {noun} is {self.device_px(axis) - 1}")
+        # A step of 0.1 does not add up exactly; a thousandth of a step keeps the last place.
+        count = math.floor((last_px - first_px) / stripe.step_px + 1e-3) + 1
+        if count < 3:
+            raise ValueError(
+                f"the stripe takes {max(count, 0)} places from first_{noun}_px {first_px:g} to last_{noun}_px "
+                f"{last_px:g} with step_px {stripe.step_px:g}; a sweep needs at least 3"
+            )
+        return StripePattern(
+            profile=stripe.profile, width_px=stripe.width_px, first_px=first_px, step_px=stripe.step_px, count=count
+        )
+
+
+def load_config(path: Path) -> RigConfig:
+    """Read a configuration, or say in one sentence what is wrong with its first bad value and on which line."""
+    try:
+        text = path.read_text(encoding="utf-8")
+    except FileNotFoundError:
+        raise ConfigError(f"{path}: no such file; write one with `rig init {path}`, or rehearse with --sim") from None
+    except (OSError, UnicodeDecodeError) as error:
+        raise ConfigError(f"{path}: cannot be read ({error})") from None
+    try:
+        data = tomllib.loads(text)
+    except tomllib.TOMLDecodeError as error:
+        raise ConfigError(f"{path}: not TOML: {error}") from None
+    try:
+        return RigConfig.model_validate(data)
+    except ValidationError as error:
+        raise ConfigError(first_fault(error, source=str(path), text=text)) from None
+
+
+def parse_config(data: Mapping[str, object], *, source: str) -> RigConfig:
+    """Build a configuration from values that did not come from a file, with the same one-sentence errors."""
+    try:
+        return RigConfig.model_validate(data)
+    except ValidationError as error:
+        raise ConfigError(first_fault(error, source=source)) from None
+
+
+def first_fault(error: ValidationError, *, source: str, text: str = "") -> str:
+    """Say what is wrong first: file, line where it can be found, key, and the reason."""
+    fault = error.errors()[0]
+    keys = [str(part) for part in fault["loc"]]
+    line = line_of(text, keys)
+    reason = fault["msg"].removeprefix("Value error, ")
+    if fault["type"] == "extra_forbidden":
+        reason = "no such value; check the spelling"
+    elif fault["type"] == "missing":
+        reason = "this value is missing"
+    elif not isinstance(fault["input"], dict):
+        reason += f", found {fault['input']!r}"
+    parts = [f"{source}, line {line}" if line else source, ".".join(keys), reason]
+    return ": ".join(part for part in parts if part)
+
+
+def line_of(text: str, keys: list[str]) -> int | None:
+    """Return the line where the TOML key ``keys`` stands, or that of the nearest table that holds it."""
+    table: list[str] = []
+    best: tuple[int, int] | None = None
+    for number, line in enumerate(text.splitlines(), start=1):
+        content = line.strip()
+        if content.startswith("["):
+            table = [part.strip() for part in content.split("]")[0].lstrip("[").split(".")]
+            path = table
+        elif "=" in content and not content.startswith("#"):
+            path = table + [part.strip() for part in content.split("=")[0].split(".")]
+        else:
+            continue
+        if path == keys[: len(path)] and (best is None or len(path) > best[0]):
+            best = (len(path), number)
+    return best[1] if best else None

@@ -1,0 +1,287 @@
+"""What a capture will do, as data: a tuple of steps that can be printed, counted, tested and run.
+
+``plan_capture`` is pure. It plans from what is already done and what the tank holds towards four whole sets, so that
+resuming a capture is planning it again.
+"""
+
+from collections import Counter
+from collections.abc import Collection, Iterator
+from dataclasses import dataclass
+from typing import Literal
+
+from recon.manifest import Axis, Condition
+from recon.patterns import places_px
+from rig.config import RigConfig, Tank
+
+Position = Literal[0, 1]
+SetPlace = tuple[Position, Condition]
+PhotoKey = tuple[str, str, int]  # set, sweep, index, as in the journal
+Request = Literal["insert_object", "remove_object", "fill_tank", "drain_tank"]
+
+# A level read from a sensor or a ruler is good to about one per cent of the fill.
+LEVEL_TOLERANCE = 0.01
+# A pump may run this much longer than its calibrated rate says before its own time limit ends the flow.
+PUMP_TIME_MARGIN = 1.2
+
+
+@dataclass(frozen=True, slots=True)
+class HomeStage:
+    """Find the stage's reference, so that positions can be trusted."""
+
+
+@dataclass(frozen=True, slots=True)
+class MoveStage:
+    """Carry the display to position 0 or 1."""
+
+    position: Position
+    position_mm: float
+
+
+@dataclass(frozen=True, slots=True)
+class FillTank:
+    """Pump ``volume_ml`` into the tank, which then holds ``to_ml``."""
+
+    volume_ml: float
+    to_ml: float
+    max_run_s: float
+
+
+@dataclass(frozen=True, slots=True)
+class DrainTank:
+    """Pump ``volume_ml`` out of the tank, which then holds ``to_ml``."""
+
+    volume_ml: float
+    to_ml: float
+    max_run_s: float
+
+
+@dataclass(frozen=True, slots=True)
+class WaitUntilStill:
+    """Let ripples or vibrations die down."""
+
+    duration_s: float
+    reason: str
+
+
+@dataclass(frozen=True, slots=True)
+class AskOperator:
+    """Ask a person to do something with the object or the tank, and wait for the answer."""
+
+    request: Request
+    text: str
+
+
+@dataclass(frozen=True, slots=True)
+class StartSweep:
+    """The next ``count`` photos belong to one sweep."""
+
+    set_name: str
+    axis: str
+    count: int
+
+
+@dataclass(frozen=True, slots=True)
+class TakePhoto:
+    """Show one frame and photograph it. ``place_px`` is the stripe's centre; None for the white and black photo."""
+
+    set_name: str
+    sweep: str
+    index: int
+    place_px: float | None
+    frame_id: int
+
+    @property
+    def key(self) -> PhotoKey:
+        """How the journal names this photo."""
+        return (self.set_name, self.sweep, self.index)
+
+
+Step = HomeStage | MoveStage | FillTank | DrainTank | WaitUntilStill | AskOperator | StartSweep | TakePhoto
+
+ORDERS: dict[tuple[str, str], tuple[SetPlace, ...]] = {
+    ("liquid", "one_fill"): ((0, "air"), (1, "air"), (1, "liquid"), (0, "liquid")),
+    ("liquid", "paper"): ((0, "air"), (0, "liquid"), (1, "air"), (1, "liquid")),
+    ("thin", "one_fill"): ((0, "without"), (1, "without"), (1, "with"), (0, "with")),
+    ("thin", "paper"): ((0, "without"), (0, "with"), (1, "without"), (1, "with")),
+}
+
+
+def set_order(config: RigConfig) -> tuple[SetPlace, ...]:
+    """Return the four sets in the order in which they are photographed."""
+    return ORDERS[config.method, config.capture.order]
+
+
+def set_name(place: SetPlace) -> str:
+    """Return a set's name as in the session, such as ``pos0_air``."""
+    return f"pos{place[0]}_{place[1]}"
+
+
+def all_photos(config: RigConfig) -> tuple[TakePhoto, ...]:
+    """Return every photo of the capture in order; frame numbers count them from 0 and stay the same on resuming."""
+    listed: list[tuple[str, str, int, float | None]] = []
+    for place in set_order(config):
+        name = set_name(place)
+        listed += [(name, "white", 0, None), (name, "black", 0, None)]
+        axes: tuple[Axis, ...] = ("x", "y")
+        for axis in axes:
+            listed += [(name, axis, k, float(px)) for k, px in enumerate(places_px(config.pattern(axis)))]
+    return tuple(TakePhoto(*photo, frame_id=frame_id) for frame_id, photo in enumerate(listed))
+
+
+def plan_capture(
+    config: RigConfig, *, done: Collection[PhotoKey] = frozenset(), tank_ml: float = 0.0
+) -> tuple[Step, ...]:
+    """Plan the way from the present state to four whole sets.
+
+    Parameters
+    ----------
+    config
+        What to capture.
+    done
+        Photos that exist and are whole; they are not taken again.
+    tank_ml
+        What the tank holds at the start.
+
+    Returns
+    -------
+    tuple of Step
+        Empty when every photo is done.
+    """
+    wanted = [photo for photo in all_photos(config) if photo.key not in done]
+    if not wanted:
+        return ()
+    steps: list[Step] = [HomeStage()]
+    position: Position | None = None
+    object_present: bool | None = None
+    for place in set_order(config):
+        photos = [photo for photo in wanted if photo.set_name == set_name(place)]
+        if not photos:
+            continue
+        if position != place[0]:
+            position = place[0]
+            steps += _go_to(position, config)
+        if config.tank is not None and place[1] in ("air", "liquid"):
+            target_ml = config.tank.fill_ml if place[1] == "liquid" else 0.0
+            steps += _bring_tank_to(target_ml, from_ml=tank_ml, tank=config.tank, config=config)
+            tank_ml = target_ml
+        if place[1] in ("with", "without") and object_present != (place[1] == "with"):
+            object_present = place[1] == "with"
+            steps.append(_ask_for_object(object_present, config.object.name))
+        steps += _photograph(photos)
+    if config.tank is not None and config.tank.drain_at_end and config.tank.has_pump and tank_ml > 0:
+        steps.append(DrainTank(tank_ml, 0.0, _longest_run_s(tank_ml, config.tank)))
+    return tuple(steps)
+
+
+def _go_to(position: Position, config: RigConfig) -> Iterator[Step]:
+    yield MoveStage(position, config.stage.position_mm(position))
+    if config.timing.still_after_move_s > 0:
+        yield WaitUntilStill(config.timing.still_after_move_s, "the display was moved")
+
+
+def _bring_tank_to(target_ml: float, *, from_ml: float, tank: Tank, config: RigConfig) -> Iterator[Step]:
+    """Plan the flow that makes the tank hold ``target_ml``; none when it does already."""
+    volume_ml = target_ml - from_ml
+    if abs(volume_ml) <= LEVEL_TOLERANCE * tank.fill_ml:
+        return
+    liquid = config.liquid.name if config.liquid else "liquid"
+    filling = volume_ml > 0
+    if not tank.has_pump and filling:
+        text = f"Fill the tank slowly with {liquid} until it holds {target_ml:g} ml"
+        yield AskOperator("fill_tank", f"{text}; do not touch object or camera.")
+    elif not tank.has_pump:
+        yield AskOperator("drain_tank", f"Drain the tank down to {target_ml:g} ml; do not touch object or camera.")
+    elif filling:
+        yield FillTank(volume_ml, target_ml, _longest_run_s(volume_ml, tank))
+    else:
+        yield DrainTank(-volume_ml, target_ml, _longest_run_s(-volume_ml, tank))
+    if config.timing.still_after_fill_s > 0:
+        yield WaitUntilStill(config.timing.still_after_fill_s, "the liquid was moved")
+
+
+def _longest_run_s(volume_ml: float, tank: Tank) -> float:
+    return PUMP_TIME_MARGIN * volume_ml / tank.pump_rate_ml_per_min * 60
+
+
+def _ask_for_object(present: bool, name: str) -> AskOperator:
+    if present:
+        return AskOperator("insert_object", f"Put the object ({name}) into its holder; do not touch the camera.")
+    return AskOperator("remove_object", f"Take the object ({name}) out of its holder; do not touch the camera.")
+
+
+def _photograph(photos: list[TakePhoto]) -> Iterator[Step]:
+    """Yield the photos of one set, each sweep announced with the number of its photos."""
+    counts = Counter(photo.sweep for photo in photos)
+    announced: str | None = None
+    for photo in photos:
+        if photo.sweep != announced:
+            announced = photo.sweep
+            if announced in ("x", "y"):
+                yield StartSweep(photo.set_name, announced, counts[announced])
+        yield photo
+
+
+@dataclass(frozen=True, slots=True)
+class PlanSummary:
+    """What a plan costs. ``minutes`` leaves out the time that a person takes."""
+
+    sets: int
+    photos: int
+    moves: int
+    fills: int
+    drains: int
+    questions: int
+    litres: float
+    gigabytes: float
+    minutes: float
+
+
+def summarise(plan: tuple[Step, ...], config: RigConfig) -> PlanSummary:
+    """Count a plan and estimate its time and size."""
+    photos = [step for step in plan if isinstance(step, TakePhoto)]
+    flows = [step for step in plan if isinstance(step, FillTank | DrainTank)]
+    return PlanSummary(
+        sets=len({photo.set_name for photo in photos}),
+        photos=len(photos),
+        moves=sum(isinstance(step, MoveStage) for step in plan),
+        fills=sum(isinstance(step, FillTank) for step in plan),
+        drains=sum(isinstance(step, DrainTank) for step in plan),
+        questions=sum(isinstance(step, AskOperator) for step in plan),
+        litres=sum(flow.volume_ml for flow in flows) / 1000,
+        gigabytes=len(photos) * config.timing.photo_mb / 1000,
+        minutes=sum(step_duration_s(step, config) for step in plan) / 60,
+    )
+
+
+def step_duration_s(step: Step, config: RigConfig) -> float:
+    """Estimate how long a step takes; a person's part counts as nothing."""
+    if isinstance(step, TakePhoto):
+        return config.timing.settle_s + config.timing.photo_s
+    if isinstance(step, FillTank | DrainTank):
+        rate_ml_per_min = config.tank.pump_rate_ml_per_min if config.tank else 1.0
+        return step.volume_ml / rate_ml_per_min * 60
+    if isinstance(step, HomeStage | MoveStage):
+        # The way is not known beforehand; the whole travel bounds it.
+        return (config.stage.travel_mm[1] - config.stage.travel_mm[0]) / config.stage.velocity_mm_per_s
+    return step.duration_s if isinstance(step, WaitUntilStill) else 0.0
+
+
+def step_text(step: Step) -> str:
+    """Say a step in words, for the plan's table and ``--dry-run``."""
+    match step:
+        case HomeStage():
+            return "home the stage"
+        case MoveStage():
+            return f"move the display to position {step.position} ({step.position_mm:g} mm)"
+        case FillTank():
+            return f"fill {step.volume_ml:.0f} ml into the tank"
+        case DrainTank():
+            return f"drain {step.volume_ml:.0f} ml from the tank"
+        case WaitUntilStill():
+            return f"wait {step.duration_s:g} s: {step.reason}"
+        case AskOperator():
+            return f"ask: {step.text}"
+        case StartSweep():
+            return f"sweep {step.set_name} along {step.axis}: {step.count} photos"
+        case TakePhoto():
+            return f"photo {step.set_name} {step.sweep} {step.index}"
