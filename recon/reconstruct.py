@@ -1,0 +1,203 @@
+"""From the correspondences of four sets to points and normals on the camera grid: pure arrays, no files."""
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+
+import numpy as np
+from jaxtyping import Float64, UInt8
+
+from recon.beside import liquid_surface
+from recon.correspondence import Method, SweepResult
+from recon.entry_point import EntryPoints, entry_points
+from recon.light_paths import LightPaths, light_paths
+from recon.manifest import CaptureSet, Manifest
+from recon.maps import Maps
+from recon.normals import normal_sd_rad, normals_from_angles, normals_from_paths
+from recon.patterns import screen_mm
+from recon.status import PixelStatus
+
+SweepResults = Mapping[tuple[str, str], SweepResult]
+
+
+@dataclass(frozen=True, slots=True)
+class Limits:
+    """The tests that a point must pass. Angles in rad; lengths in mm; the sigmas are in standard deviations.
+
+    The paper's method uses the first two, ``full`` the others: its thresholds follow from each pixel's own uncertainty.
+    """
+
+    smallest_angle_rad: float = np.radians(1.0)
+    largest_gap_share: float = 0.1  # of the distance between the two display positions
+    gap_sigma: float = 5.0
+    angle_sigma: float = 10.0  # the angle between the paths in units of its sd: 10 % error in depth
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Correspondences:
+    """Where each pixel [pixels = rows * cols] looks on the display in one set, in screen mm, with its sd."""
+
+    screen_mm: Float64[np.ndarray, "pixels 2"]
+    sd_mm: Float64[np.ndarray, "pixels 2"]
+    status: UInt8[np.ndarray, "pixels 2"]
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Crossing:
+    """All that is known of the pixels listed in ``pixels`` before they become maps."""
+
+    pixels: np.ndarray
+    liquid: LightPaths
+    air: LightPaths
+    points: EntryPoints
+    normal: np.ndarray
+    normal_sd_rad: np.ndarray
+    status: np.ndarray  # of the listed pixels
+
+
+def correspondences(sweeps: SweepResults, capture_set: CaptureSet, manifest: Manifest) -> Correspondences:
+    """Join the sweeps along x and y of one set."""
+    x, y = sweeps[capture_set.name, "x"], sweeps[capture_set.name, "y"]
+    pitch = manifest.display.pitch_mm
+    return Correspondences(
+        screen_mm=np.stack(
+            [
+                screen_mm(x.place_px.ravel(), "x", manifest.display),
+                screen_mm(y.place_px.ravel(), "y", manifest.display),
+            ],
+            axis=1,
+        ),
+        sd_mm=np.stack([x.sd_px.ravel(), y.sd_px.ravel()], axis=1).astype(np.float64) * pitch,
+        status=np.stack([x.status.ravel(), y.status.ravel()], axis=1),
+    )
+
+
+def combined_status(sets: list[Correspondences]) -> UInt8[np.ndarray, " pixels"]:
+    """Return OK where every set has a correspondence, and otherwise the first reason in the order of the enum."""
+    every = np.concatenate([one.status for one in sets], axis=1)
+    unlit = every == PixelStatus.UNLIT
+    status = np.full(len(every), PixelStatus.OK, dtype=np.uint8)
+    for reason in (PixelStatus.BAD_FIT, PixelStatus.SWEEP_EDGE):
+        status[(every == reason).any(axis=1)] = reason
+    status[unlit.any(axis=1)] = PixelStatus.PARTLY_LIT
+    status[unlit.all(axis=1)] = PixelStatus.UNLIT
+    return status
+
+
+def cross_paths(
+    sweeps: SweepResults,
+    manifest: Manifest,
+    *,
+    method: Method,
+    limits: Limits,
+    inside_mask: np.ndarray | None = None,
+) -> tuple[UInt8[np.ndarray, " pixels"], Crossing]:
+    """Cross the paths in liquid and in air of every matched pixel; return the status of all pixels and the crossings."""
+    liquid = manifest.liquid
+    assert liquid is not None, "the manifest's own check grants a liquid to this method"
+    by_name = {one.name: correspondences(sweeps, one, manifest) for one in manifest.sets}
+    status = combined_status(list(by_name.values()))
+    if inside_mask is not None:
+        status[~inside_mask.ravel() & (status != PixelStatus.UNLIT)] = PixelStatus.MASKED_OUT
+    pixels = np.flatnonzero(status == PixelStatus.OK)
+    paths = {
+        condition: _paths(by_name, manifest, condition, pixels, n_medium=n, method=method)
+        for condition, n in (("liquid", liquid.n), ("air", manifest.n_air))
+    }
+    points = entry_points(paths["liquid"], paths["air"], weighted=method == "full")
+    route = normals_from_angles if method == "paper" else normals_from_paths
+    media = {"n_liquid": liquid.n, "n_air": manifest.n_air}
+    normal = route(paths["liquid"].direction, paths["air"].direction, **media)
+    crossing = Crossing(
+        pixels=pixels,
+        liquid=paths["liquid"],
+        air=paths["air"],
+        points=points,
+        normal=normal,
+        normal_sd_rad=normal_sd_rad(paths["liquid"], paths["air"], **media),
+        status=_tests(points, manifest, method=method, limits=limits),
+    )
+    beside = liquid_surface(
+        points,
+        paths["air"],
+        normal,
+        manifest,
+        pixels=pixels,
+        shape=(manifest.camera.rows, manifest.camera.columns),
+    )
+    crossing.status[beside] = PixelStatus.BESIDE_OBJECT
+    status[pixels] = crossing.status
+    return status, crossing
+
+
+def _paths(
+    by_name: Mapping[str, Correspondences],
+    manifest: Manifest,
+    condition: str,
+    pixels: np.ndarray,
+    *,
+    n_medium: float,
+    method: Method,
+) -> LightPaths:
+    first, second = (by_name[f"pos{position}_{condition}"] for position in (0, 1))
+    sets = [manifest.set_named(f"pos{position}_{condition}") for position in (0, 1)]
+    # The paper's method knows no uncertainty; equal ones make its crossing the plain middle.
+    unknown = np.zeros((len(pixels), 2))
+    return light_paths(
+        (first.screen_mm[pixels], second.screen_mm[pixels]),
+        (unknown, unknown) if method == "paper" else (first.sd_mm[pixels], second.sd_mm[pixels]),
+        (manifest.pose_of(sets[0]), manifest.pose_of(sets[1])),
+        cover_glass=manifest.display.cover_glass,
+        n_medium=n_medium,
+    )
+
+
+def _tests(points: EntryPoints, manifest: Manifest, *, method: Method, limits: Limits) -> UInt8[np.ndarray, " pixels"]:
+    """Test each crossing; where several tests fail the one that explains most is named."""
+    status = np.full(len(points.gap_mm), PixelStatus.OK, dtype=np.uint8)
+    centres = [np.array(pose.centre_mm) for pose in manifest.display_poses]
+    separation = float(np.linalg.norm(centres[1] - centres[0]))
+    with np.errstate(divide="ignore", invalid="ignore"):
+        if method == "paper":
+            parallel = ~(points.angle_rad > limits.smallest_angle_rad)
+            apart = ~(np.abs(points.gap_mm) < limits.largest_gap_share * separation)
+        else:
+            parallel = ~(points.angle_rad > limits.angle_sigma * points.angle_sd_rad)
+            apart = ~(np.abs(points.gap_mm) < limits.gap_sigma * points.gap_sd_mm)
+    status[_outside_depth(points, manifest)] = PixelStatus.OUTSIDE_DEPTH
+    status[apart] = PixelStatus.GAP_TOO_LARGE
+    status[parallel] = PixelStatus.PARALLEL_PATHS
+    return status
+
+
+def _outside_depth(points: EntryPoints, manifest: Manifest) -> np.ndarray:
+    """Return which points are not between the nearer display and the camera (or simply behind the display)."""
+    outside = ~(points.distance_liquid_mm > 0) | ~(points.distance_air_mm > 0)
+    if manifest.camera.pose is not None:
+        centre = np.array(manifest.camera.pose.centre_mm)
+        forward = manifest.camera.pose.world_from_screen()[:3, 2]
+        outside |= ~((points.point_mm - centre) @ forward > 0)
+    return outside
+
+
+def maps_of(status: np.ndarray, crossing: Crossing, *, shape: tuple[int, int], method: Method) -> Maps:
+    """Lay the crossings out on the camera grid; only pixels whose status is OK get a point and a normal."""
+
+    def spread(values: np.ndarray, where: np.ndarray, dtype: type) -> np.ndarray:
+        whole = np.full((len(status), *values.shape[1:]), np.nan, dtype=dtype)
+        whole[crossing.pixels[where]] = values[where]
+        return whole.reshape(*shape, *values.shape[1:])
+
+    fine = crossing.status == PixelStatus.OK
+    everywhere = np.ones_like(fine)
+    points = crossing.points
+    sd = np.sqrt(np.trace(points.covariance, axis1=1, axis2=2))
+    if method == "paper":
+        sd = np.full_like(sd, np.nan)
+    return Maps(
+        point_mm=spread(points.point_mm, fine, np.float64),
+        normal=spread(crossing.normal, fine, np.float64),
+        sd_mm=spread(sd, fine, np.float32),
+        gap_mm=spread(points.gap_mm, everywhere, np.float32),
+        pbc_angle_rad=spread(points.angle_rad, everywhere, np.float32),
+        status=status.astype(np.uint8).reshape(shape),
+    )

@@ -1,0 +1,204 @@
+"""Maximum-likelihood place of the stripe in each pixel's intensity curve, with its standard deviation.
+
+The model is ``intensity = background + amplitude · m(x − place)`` with m from ``stripe_model.py``; amplitude and background
+are linear and solved for at every step. Samples are independent with variance ``read + gain · signal`` (noise.py); clipped
+samples are left out. Where the curve fixes the place only to an interval (a stripe seen in one photo alone) the mean
+and spread of the likelihood over that interval are returned, since the curvature at its maximum means nothing.
+"""
+
+from dataclasses import dataclass
+
+import numpy as np
+from jaxtyping import Bool, Float64, Int64
+
+from recon.manifest import StripePattern
+from recon.noise import NoiseModel
+from recon.stripe_model import footprint_average
+from recon.stripe_peak import PeakWindows
+
+GAUSS_NEWTON_STEPS = 8
+# A step of the iteration may not leave the neighbourhood of the brightest sample.
+LARGEST_CORRECTION_STEPS = 0.5
+# Beyond this sd (in stripe steps) the curve's peak is flat on the scale of the curve itself.
+INTERVAL_SD_STEPS = 0.03
+GRID_POINTS = 61
+PIXELS_A_CHUNK = 16384
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class CurveSamples:
+    """Samples about the peak of each pixel: counts, places in device pixels, which may be used, and the black level."""
+
+    counts: Float64[np.ndarray, "pixels samples"]
+    place_px: Float64[np.ndarray, "pixels samples"]
+    usable: Bool[np.ndarray, "pixels samples"]
+    black: Float64[np.ndarray, " pixels"]
+
+    def some(self, pixels: np.ndarray) -> "CurveSamples":
+        """Return the samples of some of the pixels."""
+        return CurveSamples(self.counts[pixels], self.place_px[pixels], self.usable[pixels], self.black[pixels])
+
+
+def curve_samples(
+    windows: PeakWindows, pixels: np.ndarray, *, black: np.ndarray, pattern: StripePattern, clipped: int
+) -> CurveSamples:
+    """Make the samples of these pixels ready to fit; ``black`` [rows * cols] counts, ``clipped`` the first clipped count."""
+    counts = windows.samples[pixels].astype(np.float64)
+    place = windows.peak_index[pixels, None] + np.arange(-windows.half_width, windows.half_width + 1)
+    inside = (place >= 0) & (place < windows.photo_count)
+    return CurveSamples(
+        counts=counts,
+        place_px=pattern.first_px + pattern.step_px * place.astype(np.float64),
+        usable=inside & (counts < clipped),
+        black=black[pixels].astype(np.float64),
+    )
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class StripeFit:
+    """Place and sd in device pixels, amplitude and background in counts, weighted residual and degrees of freedom."""
+
+    place_px: Float64[np.ndarray, " pixels"]
+    sd_px: Float64[np.ndarray, " pixels"]
+    amplitude: Float64[np.ndarray, " pixels"]
+    background: Float64[np.ndarray, " pixels"]
+    chi_square: Float64[np.ndarray, " pixels"]
+    freedom: Float64[np.ndarray, " pixels"]
+
+
+def fit_stripe(
+    windows: PeakWindows,
+    pixels: Int64[np.ndarray, " pixels"],
+    start_px: Float64[np.ndarray, " pixels"],
+    footprint_px: Float64[np.ndarray, "pixels 2"],
+    *,
+    black: np.ndarray,
+    pattern: StripePattern,
+    noise: NoiseModel,
+    clipped: int,
+) -> StripeFit:
+    """Fit the curve of every listed pixel, some thousands at a time so that memory stays small.
+
+    ``start_px`` is a first guess within two steps of the answer, ``footprint_px`` the two box widths of the pixel's footprint
+    on the display, in device pixels.
+    """
+    parts = []
+    for low in range(0, max(len(pixels), 1), PIXELS_A_CHUNK):
+        part = slice(low, low + PIXELS_A_CHUNK)
+        samples = curve_samples(windows, pixels[part], black=black, pattern=pattern, clipped=clipped)
+        parts.append(_fit_chunk(samples, start_px[part], footprint_px[part], pattern=pattern, noise=noise))
+    return StripeFit(*(np.concatenate([getattr(part, name) for part in parts]) for name in StripeFit.__slots__))
+
+
+def _fit_chunk(
+    samples: CurveSamples,
+    start_px: np.ndarray,
+    footprint_px: np.ndarray,
+    *,
+    pattern: StripePattern,
+    noise: NoiseModel,
+) -> StripeFit:
+    place = start_px.copy()
+    limit = LARGEST_CORRECTION_STEPS * pattern.step_px
+    moving = np.arange(len(place))
+    for _ in range(GAUSS_NEWTON_STEPS):
+        step = _linearise(samples.some(moving), place[moving], footprint_px[moving], pattern=pattern, noise=noise)
+        farthest = 2 * pattern.step_px
+        place[moving] = np.clip(
+            place[moving] + np.clip(step.correction, -limit, limit),
+            start_px[moving] - farthest,
+            start_px[moving] + farthest,
+        )
+        # A step of a hundredth of the standard deviation changes nothing that could be seen.
+        moving = moving[np.abs(step.correction) * np.sqrt(step.information) > 0.01]
+        if len(moving) == 0:
+            break
+    state = _linearise(samples, place, footprint_px, pattern=pattern, noise=noise)
+    sd = 1 / np.sqrt(np.maximum(state.information, 1e-30))
+    vague = (sd > INTERVAL_SD_STEPS * pattern.step_px) | (np.abs(state.correction) > 0.2 * sd)
+    if vague.any():
+        place[vague], sd[vague] = _interval(
+            samples.some(vague), start_px[vague], footprint_px[vague], pattern=pattern, noise=noise
+        )
+        state = _linearise(samples, place, footprint_px, pattern=pattern, noise=noise)
+    freedom = np.maximum(samples.usable.sum(axis=1) + 1.0 - 3.0, 1.0)
+    # Where the curve is not quite the model's, the misfit is taken as noise of the same kind (Birge's ratio).
+    sd *= np.sqrt(np.maximum(state.chi_square / freedom, 1.0))
+    return StripeFit(place, sd, state.amplitude, state.background, state.chi_square, freedom)
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class _Linearised:
+    amplitude: np.ndarray
+    background: np.ndarray
+    chi_square: np.ndarray
+    correction: np.ndarray
+    information: np.ndarray
+
+
+def _linearise(
+    samples: CurveSamples,
+    place: np.ndarray,
+    footprint_px: np.ndarray,
+    *,
+    pattern: StripePattern,
+    noise: NoiseModel,
+) -> _Linearised:
+    """Solve for amplitude and background at these places, and for the next Gauss–Newton step of the place."""
+    shape, slope = footprint_average(samples.place_px - place[:, None], footprint_px[:, 0], footprint_px[:, 1], pattern)
+    height = samples.counts - samples.black[:, None]
+    weight = samples.usable / noise.variance(height)
+    # The black photo is one more measurement of the background.
+    black_weight = 1 / noise.variance(np.zeros(1))[0]
+    s_mm = (weight * shape**2).sum(1) + 1e-12
+    s_m = (weight * shape).sum(1)
+    s_1 = weight.sum(1) + black_weight
+    s_my = (weight * shape * height).sum(1)
+    s_y = (weight * height).sum(1)
+    determinant = np.maximum(s_mm * s_1 - s_m**2, 1e-12)
+    amplitude = (s_1 * s_my - s_m * s_y) / determinant
+    background = (s_mm * s_y - s_m * s_my) / determinant
+    residual = height - amplitude[:, None] * shape - background[:, None]
+    by_place = -amplitude[:, None] * slope
+    # Remove from the derivative what amplitude and background could do instead.
+    s_dm = (weight * by_place * shape).sum(1)
+    s_d = (weight * by_place).sum(1)
+    toward_m = (s_1 * s_dm - s_m * s_d) / determinant
+    toward_1 = (s_mm * s_d - s_m * s_dm) / determinant
+    own = by_place - toward_m[:, None] * shape - toward_1[:, None]
+    information = (weight * own**2).sum(1) + black_weight * toward_1**2
+    gradient = (weight * own * residual).sum(1) + black_weight * toward_1 * background
+    chi_square = (weight * residual**2).sum(1) + black_weight * background**2
+    return _Linearised(
+        amplitude,
+        background + samples.black,
+        chi_square,
+        gradient / np.maximum(information, 1e-12),
+        information,
+    )
+
+
+def _interval(
+    samples: CurveSamples,
+    start_px: np.ndarray,
+    footprint_px: np.ndarray,
+    *,
+    pattern: StripePattern,
+    noise: NoiseModel,
+) -> tuple[np.ndarray, np.ndarray]:
+    """Return mean and sd of the place under the profile likelihood, over a grid about the brightest sample."""
+    grid = np.linspace(-1.5, 1.5, GRID_POINTS) * pattern.step_px
+    chi_square = np.stack(
+        [
+            _linearise(samples, start_px + offset, footprint_px, pattern=pattern, noise=noise).chi_square
+            for offset in grid
+        ],
+        axis=1,
+    )
+    weight = np.exp(-0.5 * (chi_square - chi_square.min(axis=1, keepdims=True)))
+    weight /= weight.sum(axis=1, keepdims=True)
+    mean = weight @ grid
+    variance = weight @ grid**2 - mean**2
+    # The grid itself is a uniform quantisation of its spacing.
+    spacing = grid[1] - grid[0]
+    return start_px + mean, np.sqrt(np.maximum(variance, 0.0) + spacing**2 / 12)

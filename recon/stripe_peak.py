@@ -1,0 +1,103 @@
+"""Find, while the photos of a sweep stream past, where each pixel was brightest; keep only a window about it.
+
+Memory is a few photos plus the windows, however long the sweep. The paper's parabola through the three brightest
+samples is here too; the maximum-likelihood fit is in ``stripe_fit.py``.
+"""
+
+from dataclasses import dataclass
+
+import numpy as np
+from jaxtyping import Float64, Int32
+
+Counts = np.ndarray  # [rows, cols] uint8 or uint16
+
+NO_PEAK = -1
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class PeakWindows:
+    """The samples about each pixel's brightest one.
+
+    ``peak_index`` [pixels] is the stripe number of the brightest sample, ``NO_PEAK`` where no sample rose above the
+    floor; ``samples`` [pixels, 2 * half_width + 1] are the counts about it, zero beyond the sweep's ends.
+    """
+
+    peak_index: Int32[np.ndarray, " pixels"]
+    samples: np.ndarray
+    half_width: int
+    photo_count: int
+
+    def inside(self) -> np.ndarray:
+        """Return which samples [pixels, window] exist, rather than lying beyond the sweep's ends."""
+        place = self.peak_index[:, None] + np.arange(-self.half_width, self.half_width + 1)
+        return (place >= 0) & (place < self.photo_count) & (self.peak_index[:, None] != NO_PEAK)
+
+
+class PeakTracker:
+    """Feed the photos of a sweep in order; ask for the windows at the end.
+
+    A pixel's brightest sample is tested when the photos about it are at hand, so nothing needs mending afterwards, and
+    pixels that never rise above ``floor`` [rows, cols] are never written.
+    """
+
+    def __init__(self, floor: Counts, *, half_width: int) -> None:
+        if half_width < 1:
+            raise ValueError("half_width: at least one neighbour on each side is needed")
+        self._half_width = half_width
+        self._brightest = floor.ravel().copy()
+        self._index = np.full(floor.size, NO_PEAK, dtype=np.int32)
+        self._samples = np.zeros((floor.size, 2 * half_width + 1), dtype=floor.dtype)
+        nothing = np.zeros(floor.size, dtype=floor.dtype)
+        self._ring = [nothing] * (2 * half_width + 1)
+        self._nothing = nothing
+        self._fed = 0
+        self._pushed = 0
+        self._shape = floor.shape
+
+    def feed(self, counts: Counts) -> np.ndarray | None:
+        """Take the next photo, which must stay untouched; return the array that is free to be reused."""
+        self._fed += 1
+        return self._push(counts.ravel())
+
+    def finish(self) -> PeakWindows:
+        """Test the photos still in the window and return the result."""
+        for _ in range(self._half_width):
+            self._push(self._nothing)
+        return PeakWindows(self._index, self._samples, self._half_width, self._fed)
+
+    def _push(self, counts: np.ndarray) -> np.ndarray | None:
+        oldest = self._ring.pop(0)
+        self._ring.append(counts)
+        self._pushed += 1
+        self._test(self._pushed - 1 - self._half_width)
+        return None if oldest is self._nothing else oldest.reshape(self._shape)
+
+    def _test(self, index: int) -> None:
+        if index < 0 or index >= self._fed:
+            return
+        before, centre, after = self._ring[self._half_width - 1 : self._half_width + 2]
+        # Only a local maximum can be the brightest of all: a rising flank is not written again and again.
+        candidate = centre > self._brightest
+        if not candidate.any():
+            return
+        candidate &= centre >= before
+        candidate &= centre >= after
+        pixels = np.flatnonzero(candidate)
+        self._brightest[pixels] = centre[pixels]
+        self._index[pixels] = index
+        for column, photo in enumerate(self._ring):
+            self._samples[pixels, column] = photo[pixels]
+
+
+def parabola_offset(
+    before: Float64[np.ndarray, " pixels"],
+    centre: Float64[np.ndarray, " pixels"],
+    after: Float64[np.ndarray, " pixels"],
+) -> Float64[np.ndarray, " pixels"]:
+    """Return the vertex of the parabola through three samples one step apart, in steps from the middle one.
+
+    The paper's sub-stripe refinement (its section on correspondence). Zero where the three samples are equal.
+    """
+    curvature = before - 2 * centre + after
+    safe = np.where(curvature < 0, curvature, -1.0)
+    return np.where(curvature < 0, 0.5 * (before - after) / safe, 0.0)
