@@ -3,7 +3,7 @@
 from importlib.metadata import version as version_of
 
 project = "refractive-scan"
-copyright = "the refractive-scan contributors"  # noqa: A001 - the name that Sphinx reads
+copyright = "the refractive-scan contributors"
 author = "the refractive-scan contributors"
 version = release = version_of("refractive-scan")
 
@@ -21,3 +21,13 @@ autodoc_preserve_defaults = True
 autodoc_member_order = "bysource"
 autodoc_default_options = {"members": True, "exclude-members": "model_config"}
 napoleon_google_docstring = False
+
+
+def escape_bars(_app: object, _what: str, _name: str, _obj: object, _options: object, lines: list[str]) -> None:
+    """Keep the bars of |x| from being read as reStructuredText's substitutions."""
+    lines[:] = [line if "``" in line else line.replace("|", r"\|") for line in lines]
+
+
+def setup(app: object) -> None:
+    """Called by Sphinx."""
+    app.connect("autodoc-process-docstring", escape_bars)  # type: ignore[attr-defined]  # Sphinx is untyped here
