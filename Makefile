@@ -15,7 +15,7 @@ BIN := .venv/bin
 PIP_INSTALL := $(BIN)/python -m pip install --quiet --disable-pip-version-check --constraint constraints.txt
 COMMANDS_PAGE := docs/reference/commands.md
 
-.PHONY: help setup demo test check format bench docs commands picture clean
+.PHONY: help setup demo test check lint format bench docs commands picture clean
 
 help:  ## list the targets
 	@grep -hE '^[a-z]+:.*## ' Makefile | sed -E 's/^([a-z]+):[^#]*## (.*)/make \1\t\2/' | expand -t 16
@@ -28,13 +28,13 @@ demo: .venv/core.stamp  ## a simulated capture, its reconstruction, and a report
 test: .venv/full.stamp  ## run the tests
 	$(BIN)/python -m pytest $(PYTEST_FLAGS)
 
-check: .venv/full.stamp  ## formatting, style, types, import contracts, tests, documentation
+check: lint test docs  ## everything that must hold before a commit: lint, test and docs
+
+lint: .venv/full.stamp  ## formatting, style, types, import contracts
 	$(BIN)/python -m ruff format --check .
 	$(BIN)/python -m ruff check .
 	$(BIN)/python -m mypy
 	$(BIN)/lint-imports
-	$(MAKE) --no-print-directory test
-	$(MAKE) --no-print-directory docs
 
 format: .venv/full.stamp  ## put the sources into the project's format
 	$(BIN)/python -m ruff format .
