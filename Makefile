@@ -59,7 +59,7 @@ clean:  ## remove everything that these targets made
 
 # What `demo` needs: the programs alone.
 .venv/core.stamp: .venv/made.stamp pyproject.toml constraints.txt
-	@echo "installing into .venv (once; about 350 MB to fetch on a machine that has none of it) ..."
+	@echo "installing into .venv (once; a few hundred MB to fetch) ..."
 	@$(PIP_INSTALL) --editable .
 	@touch $@
 
@@ -75,7 +75,7 @@ clean:  ## remove everything that these targets made
 		echo "Python 3.11 or newer was not found; install it (Debian: apt-get install python3), or run: make PYTHON=/path/to/python setup" >&2; \
 		exit 1; \
 	fi
-	@if ! "$(PYTHON)" -c 'import ensurepip, venv' 2>/dev/null; then \
+	@if ! "$(PYTHON)" -c 'import venv; from ensurepip import version' 2>/dev/null; then \
 		if [ "$$(id -u)" = 0 ]; then as_root=(env); \
 		elif command -v sudo >/dev/null && { [ -t 0 ] || sudo -n true 2>/dev/null; }; then as_root=(sudo); \
 		else as_root=(); fi; \
@@ -86,7 +86,7 @@ clean:  ## remove everything that these targets made
 		echo "installing python3-venv ..."; \
 		"$${as_root[@]}" apt-get -qq update; \
 		"$${as_root[@]}" env DEBIAN_FRONTEND=noninteractive apt-get -qq install --yes python3-venv >/dev/null; \
-		"$(PYTHON)" -c 'import ensurepip, venv' 2>/dev/null || { \
+		"$(PYTHON)" -c 'import venv; from ensurepip import version' 2>/dev/null || { \
 			echo "$(PYTHON) still cannot make virtual environments: it is not Debian's own; run: make PYTHON=/usr/bin/python3 setup" >&2; exit 1; }; \
 	fi
 	@"$(PYTHON)" -m venv .venv
