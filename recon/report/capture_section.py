@@ -131,7 +131,7 @@ def photos_panel(photos: Sequence[PhotoQuality]) -> Panel:
         "Upper line: the brightest value in each photo of a sweep. Lower area: the share of saturated pixels, in per cent of the "
         "photo.",
         "Smooth lines of the same height in air and in liquid, with next to nothing saturated.",
-        "A notch (a photo of the frame before, or a blank one), a jump (the exposure or the room's light changed), or saturation.",
+        "A notch (a photo of the frame before, or a blank one), a jump (exposure, or light in the room), or saturation.",
         missing="" if photos else "The run recorded no quality of single photos.",
     )
 

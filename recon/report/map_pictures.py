@@ -17,10 +17,13 @@ from recon.status import PixelStatus
 
 # Ink and ground of the two themes of style.css.
 THEMES = {"light": ("#24292f", "#e8eaed"), "dark": ("#d5dae0", "#2b313a")}
-FIGURE_WIDTH_IN = 6.4
+FIGURE_WIDTH_IN, DOTS_PER_IN = 4.8, 190
+# Room round the map for tick labels, axis labels and the colour bar.
+LEFT_IN, RIGHT_IN, KEY_IN, BOTTOM_IN, TOP_IN, BAR_IN = 0.58, 0.12, 0.95, 0.45, 0.1, 0.16
+SMALLEST_HEIGHT_IN, LARGEST_HEIGHT_IN = 1.2, 4.6
 # A limit set by one outlier in a hundred says nothing about the surface.
 LIMIT_PERCENTILES = (1.0, 99.0)
-Draw = Callable[[Figure, Axes], None]
+Draw = Callable[[Axes, Axes], None]
 
 STATUS_COLOURS: dict[PixelStatus, str] = {
     PixelStatus.OK: "#2a9d8f",
@@ -113,34 +116,38 @@ def scalar_picture(
     low, high = limits(values, symmetric=symmetric)
     norm = LogNorm(max(low, high / 1e4, 1e-12), high) if logarithmic and high > 0 else Normalize(low, high)
 
-    def draw(figure: Figure, axes: Axes) -> None:
+    def draw(axes: Axes, key: Axes) -> None:
         image = axes.imshow(shown, extent=window.extent, cmap=colours, norm=norm, interpolation="nearest")
-        bar = figure.colorbar(image, ax=axes, extend="both", pad=0.03, fraction=0.05, aspect=26)
+        bar = key.figure.colorbar(image, cax=key, extend="both", extendfrac=0.03)
         bar.set_label(label)
         bar.outline.set_visible(False)
 
-    return _both_themes(draw, window, alt)
+    return _both_themes(draw, window, alt, with_key=True)
 
 
 def normal_picture(normal: Float64[np.ndarray, "rows cols 3"], window: Window, *, alt: str) -> Picture:
     """Draw normals as colours: x red, y green, -z blue, from -1 (none) to 1 (full), with a half ball as the key."""
     shown = normal_colours(window.cut(normal))
 
-    def draw(figure: Figure, axes: Axes) -> None:
+    def draw(axes: Axes, key: Axes) -> None:
         axes.imshow(shown, extent=window.extent, interpolation="nearest")
-        key = figure.add_axes((0.855, 0.4, 0.13, 0.2))
-        x, y = np.meshgrid(np.linspace(-1, 1, 121), np.linspace(1, -1, 121))
-        inside = x**2 + y**2 <= 1
-        z = -np.sqrt(np.maximum(1 - x**2 - y**2, 0))
-        ball = np.where(inside[..., None], np.stack([x, y, z], axis=-1), np.nan)
-        key.imshow(normal_colours(ball), extent=(-1, 1, -1, 1))
-        key.set_axis_off()
-        key.text(0, 1.18, "up", ha="center", va="bottom", fontsize=8)
-        key.text(0, -1.18, "down", ha="center", va="top", fontsize=8)
-        key.text(0, 1.75, "tilts to", ha="center", va="bottom", fontsize=8)
-        key.text(0, -1.75, "left ↔ right", ha="center", va="top", fontsize=8)
+        ball_key(key)
 
-    return _both_themes(draw, window, alt, right=0.83)
+    return _both_themes(draw, window, alt, with_key=True)
+
+
+def ball_key(key: Axes) -> None:
+    """Draw the half ball that explains the colours of normals in the place of a colour bar."""
+    left, bottom, width, height = key.get_position().bounds
+    key.set_position((left, bottom + 0.5 * height - 1.5 * width, 3.6 * width, 3.0 * width))
+    x, y = np.meshgrid(np.linspace(-1, 1, 121), np.linspace(1, -1, 121))
+    inside = x**2 + y**2 <= 1
+    z = -np.sqrt(np.maximum(1 - x**2 - y**2, 0))
+    ball = np.where(inside[..., None], np.stack([x, y, z], axis=-1), np.nan)
+    key.imshow(normal_colours(ball), extent=(-1, 1, -1, 1))
+    key.set_axis_off()
+    for place, word, vertical in (((0, 1.15), "up", "bottom"), ((0, -1.15), "left     right", "top")):
+        key.text(*place, word, ha="center", va=vertical, fontsize=8)
 
 
 def normal_colours(normal: Float64[np.ndarray, "*grid 3"]) -> UInt8[np.ndarray, "*grid 4"]:
@@ -161,16 +168,40 @@ def status_picture(status: UInt8[np.ndarray, "rows cols"], *, longest_px: int, a
     colours = ListedColormap([STATUS_COLOURS[reason] for reason in reasons])
     norm = BoundaryNorm(np.arange(len(reasons) + 1) - 0.5, len(reasons))
 
-    def draw(_figure: Figure, axes: Axes) -> None:
+    def draw(axes: Axes, _: Axes) -> None:
         axes.imshow(window.cut(status), extent=window.extent, cmap=colours, norm=norm, interpolation="nearest")
 
-    return _both_themes(draw, window, alt, right=0.985)
+    return _both_themes(draw, window, alt, with_key=False)
 
 
-def _both_themes(draw: Draw, window: Window, alt: str, *, right: float | None = None) -> Picture:
-    """Render one drawing with the inks of the light and of the dark page."""
+@dataclass(frozen=True, slots=True)
+class Layout:
+    """Where map and key stand in the figure, as parts of its width and height."""
+
+    height_in: float
+    map_box: tuple[float, float, float, float]
+    key_box: tuple[float, float, float, float]
+
+
+def layout_of(window: Window, *, with_key: bool) -> Layout:
+    """Return a layout in which the map keeps its proportions and leaves room for ticks, labels and a colour bar.
+
+    Computed here rather than by matplotlib's layout engine, which draws every text several times.
+    """
     rows, cols = window.row_stop - window.row_start, window.col_stop - window.col_start
-    height_in = float(np.clip(0.82 * FIGURE_WIDTH_IN * rows / cols + 0.55, 2.2, 7.0))
+    room_in = FIGURE_WIDTH_IN - LEFT_IN - (KEY_IN if with_key else RIGHT_IN)
+    width_in = min(room_in, LARGEST_HEIGHT_IN * cols / rows)
+    tall_in = max(width_in * rows / cols, SMALLEST_HEIGHT_IN)
+    height_in = tall_in + BOTTOM_IN + TOP_IN
+    left, bottom = LEFT_IN / FIGURE_WIDTH_IN, BOTTOM_IN / height_in
+    across, up = width_in / FIGURE_WIDTH_IN, tall_in / height_in
+    key_width = BAR_IN / FIGURE_WIDTH_IN
+    return Layout(height_in, (left, bottom, across, up), (left + across + 0.6 * key_width, bottom, key_width, up))
+
+
+def _both_themes(draw: Draw, window: Window, alt: str, *, with_key: bool) -> Picture:
+    """Render one drawing with the inks of the light and of the dark page."""
+    layout = layout_of(window, with_key=with_key)
     pictures: dict[str, bytes] = {}
     for theme, (ink, ground) in THEMES.items():
         inks: Any = {
@@ -186,18 +217,17 @@ def _both_themes(draw: Draw, window: Window, alt: str, *, right: float | None = 
             "ytick.major.width": 0.5,
         }
         with matplotlib.rc_context(inks):
-            figure = Figure(figsize=(FIGURE_WIDTH_IN, height_in), dpi=150, layout=None if right else "constrained")
+            figure = Figure(figsize=(FIGURE_WIDTH_IN, layout.height_in), dpi=DOTS_PER_IN)
             FigureCanvasAgg(figure)
-            axes = figure.add_subplot()
-            if right:
-                figure.subplots_adjust(left=0.1, right=right, bottom=0.5 / height_in, top=1 - 0.08 / height_in)
-            draw(figure, axes)
+            axes = figure.add_axes(layout.map_box)
+            draw(axes, figure.add_axes(layout.key_box) if with_key else axes)
             axes.set_xlabel("camera column (px)")
             axes.set_ylabel("camera row (px)")
+            axes.locator_params(nbins=5)
             for side in ("top", "right"):
                 axes.spines[side].set_visible(False)
             buffer = io.BytesIO()
-            figure.savefig(buffer, format="png", transparent=False, facecolor="none", metadata={"Software": None})
+            figure.savefig(buffer, format="png", facecolor="none", metadata={"Software": None})
             pictures[theme] = buffer.getvalue()
-    width = round(FIGURE_WIDTH_IN * 150)
-    return Picture(pictures["light"], pictures["dark"], alt, width, round(height_in * 150))
+    size = round(FIGURE_WIDTH_IN * DOTS_PER_IN), round(layout.height_in * DOTS_PER_IN)
+    return Picture(pictures["light"], pictures["dark"], alt, *size)

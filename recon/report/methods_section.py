@@ -37,10 +37,10 @@ def methods_text(manifest: Manifest, metrics: Metrics, unit: LengthUnit) -> str:
     if manifest.method == "liquid" and manifest.liquid:
         sentences.append(
             f"The sets were taken at both positions in air (n = {number(manifest.n_air, 7)}) and with the display side "
-            f"of the object in {manifest.liquid.name} (n = {number(manifest.liquid.n, 5)}). For each camera pixel the places of the "
-            "stripe at the two positions give its light path before the object in each medium; the surface point is the middle of "
-            "the shortest segment between the two paths, and the normal follows from Snell's law in vector form, "
-            "n ∝ λ₁U − λ₂V (Han et al., 2018)."
+            f"of the object in {manifest.liquid.name} (n = {number(manifest.liquid.n, 5)}). For each camera pixel the places "
+            "of the stripe at the two positions give its light path before the object in each medium; the surface point is "
+            "the middle of the shortest segment between the two paths, and the normal follows from Snell's law in vector "
+            "form, n ∝ λ₁U − λ₂V (Han et al., 2018)."
         )
     else:
         sentences.append(

@@ -16,9 +16,11 @@ from recon.report.methods_section import methods_section
 from recon.report.numbers import LengthUnit, duration, number, share
 from recon.report.page import render_page
 from recon.report.panel import Banner
+from recon.report.point_scene import TriangleMesh
 from recon.report.result_section import result_section
 from recon.report.run_section import device_banners, run_section, warnings_section
 from recon.report.setup_section import setup_section
+from recon.report.surface_section import surface_section
 
 REPORT_NAME = "report.html"
 # Mail servers and review systems refuse larger attachments.
@@ -82,8 +84,14 @@ def report_page(
 ) -> str:
     """Return the page as text; ``longest_px`` bounds the samples along the longer side of each map."""
     unit = LengthUnit.of(manifest.length_unit)
+    triangles = (
+        None
+        if mesh is None
+        else TriangleMesh(mesh[0].astype(np.float64), mesh[1].astype(np.int64), mesh[2].astype(np.float64))
+    )
     sections = (
         warnings_section(metrics),
+        surface_section(maps, manifest, triangles, unit=unit),
         result_section(metrics, unit=unit, evaluation=evaluation),
         map_section(maps, manifest, unit=unit, longest_px=longest_px),
         capture_section(metrics),
@@ -99,6 +107,7 @@ def report_page(
         banners=(*device_banners(manifest), *unit_banners(unit)),
         verdict=metrics.verdict,
         tiles=tiles(maps, metrics, unit),
+        scripts=("page.js", "viewer.js"),
     )
 
 
