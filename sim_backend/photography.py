@@ -1,0 +1,216 @@
+"""Photographs of a scene: what the camera sees when the display shows a frame."""
+
+import threading
+from collections import OrderedDict
+from collections.abc import Callable
+from dataclasses import dataclass, field
+from typing import Any
+
+import numpy as np
+import scipy.sparse as sp
+from jaxtyping import Float32, Float64
+
+from drivers.protocols import Frame
+from sim_backend.footprint import axis_matrix, image_light, light_of, patch_matrix
+from sim_backend.light_paths import ScreenMap, on_panel, screen_map, trace_sub_rays
+from sim_backend.scene import Scene
+from sim_backend.sensor import blur, frame_key, grey_levels, jpeg_bytes, noisy_grey
+from sim_backend.truth import Truth, compute_truth, save_truth
+
+__all__ = ["Photographer", "Truth", "save_truth"]
+
+Values = Float32[np.ndarray, "rows columns"]
+
+# Views kept at once: the four capture sets and two places on the way.
+VIEWS_KEPT = 6
+
+# Beyond this share of lit columns one matrix product beats adding them one at a time.
+MANY_COLUMNS = 1 / 8
+
+
+@dataclass(slots=True, eq=False)
+class View:
+    """The display at one place, seen through one world, with the matrices made so far."""
+
+    places: ScreenMap
+    axes: dict[str, sp.csc_matrix] = field(default_factory=dict)
+    patches: dict[tuple[int, int, int, int], sp.csr_matrix] = field(default_factory=dict)
+
+
+class Photographer:
+    """Takes photos of a scene; safe to use from several threads.
+
+    Tracing happens at the first photo of each kind and is remembered. The noise of a photo depends only on the
+    scene's seed, the display's place, the liquid, the object and the frame: the same photo again is the same bytes.
+    """
+
+    def __init__(self, scene: Scene) -> None:
+        self.scene = scene
+        self._lock = threading.RLock()
+        self._rays: dict[tuple[bool, bool], Any] = {}
+        self._views: OrderedDict[tuple[float, bool, bool], View] = OrderedDict()
+
+    def photograph(self, frame: Frame, *, stage_position_mm: float, wet: bool, object_present: bool = True) -> bytes:
+        """Return the JPEG of one exposure."""
+        value = self._value(frame, stage_position_mm, wet, object_present)
+        camera = self.scene.camera
+        key = frame_key(frame, self.scene.seed, float(stage_position_mm), wet, object_present)
+        return jpeg_bytes(noisy_grey(value, camera, key=key), quality=camera.jpeg_quality)
+
+    def expected(self, frame: Frame, *, stage_position_mm: float, wet: bool, object_present: bool = True) -> Values:
+        """Return the photo's grey levels, 0 to 255, without noise, rounding or JPEG."""
+        return grey_levels(self._value(frame, stage_position_mm, wet, object_present), self.scene.camera)
+
+    def pixel_coordinates(
+        self, *, stage_position_mm: float, wet: bool, object_present: bool = True
+    ) -> Float64[np.ndarray, "rows columns 2"]:
+        """Return the mean device pixel (column, row) that each camera pixel sees, weighted by light; NaN where unlit."""
+        places = self._view(stage_position_mm, wet, object_present).places
+        lit = on_panel(self.scene, places.column_px, places.row_px)
+        weight = np.where(lit, places.transmission.astype(np.float64), 0.0)
+        total = self._pixel_sums(weight)
+        with np.errstate(invalid="ignore", divide="ignore"):
+            means = [
+                self._pixel_sums(np.where(lit, weight * place, 0.0)) / total
+                for place in (places.column_px, places.row_px)
+            ]
+        return np.stack(means, axis=2)
+
+    def truth(self) -> Truth:
+        """Return the true point and normal behind the centre of each pixel."""
+        return compute_truth(self.scene)
+
+    def _pixel_sums(self, fine: np.ndarray) -> np.ndarray:
+        camera, fold = self.scene.camera, self.scene.camera.supersampling
+        return fine.reshape(camera.rows, fold, camera.columns, fold).sum(axis=(1, 3))
+
+    def _view(self, stage_position_mm: float, wet: bool, object_present: bool) -> View:
+        key = (float(stage_position_mm), wet, object_present)
+        with self._lock:
+            if key not in self._views:
+                through = (wet, object_present)
+                if through not in self._rays:
+                    world = self.scene.world(wet=wet, object_present=object_present)
+                    self._rays[through] = trace_sub_rays(self.scene, world)
+                self._views[key] = View(screen_map(self.scene, self._rays[through], key[0]))
+                while len(self._views) > VIEWS_KEPT:
+                    self._views.popitem(last=False)
+            self._views.move_to_end(key)
+            return self._views[key]
+
+    def _made(self, store: dict[Any, Any], key: object, make: Callable[[], Any]) -> Any:
+        if key not in store:
+            with self._lock:
+                if key not in store:
+                    store[key] = make()
+        return store[key]
+
+    def _axis_matrix(self, view: View, axis: str) -> sp.csc_matrix:
+        panel = self.scene.display
+        along, across = (panel.columns, panel.rows) if axis == "x" else (panel.rows, panel.columns)
+        return self._made(
+            view.axes,
+            axis,
+            lambda: axis_matrix(
+                view.places,
+                axis,
+                supersampling=self.scene.camera.supersampling,
+                device_px=along,
+                across_px=across,
+            ),
+        )
+
+    def _value(self, frame: Frame, stage_position_mm: float, wet: bool, object_present: bool) -> Values:
+        """Return the expected share of full scale in each pixel."""
+        self._check(frame)
+        view = self._view(stage_position_mm, wet, object_present)
+        camera = self.scene.camera
+        if frame.image is not None:
+            light = self._image_light(view, frame)
+        else:
+            light = self._stripe_light(view, frame)
+            light += self._patch_light(view, frame)
+        light = blur(light.reshape(camera.rows, camera.columns), camera.blur_px)
+        light *= np.float32(camera.signal)
+        light += np.float32(camera.ambient)
+        return light
+
+    def _check(self, frame: Frame) -> None:
+        panel = self.scene.display
+        if (frame.image is None) == (frame.levels is None):
+            raise ValueError("a frame holds either levels along an axis or a whole image, and this one does not")
+        if frame.image is not None and frame.image.shape != (panel.rows, panel.columns):
+            raise ValueError(f"image of {frame.image.shape} asked, the panel has {(panel.rows, panel.columns)} pixels")
+        if frame.levels is not None:
+            along = panel.columns if frame.axis == "x" else panel.rows
+            if frame.axis not in ("x", "y") or frame.levels.shape != (along,):
+                raise ValueError(
+                    f"{frame.levels.shape[0]} levels along {frame.axis!r} asked, the panel has {along} there"
+                )
+
+    def _stripe_light(self, view: View, frame: Frame) -> Float32[np.ndarray, " pixels"]:
+        assert frame.axis is not None and frame.levels is not None  # checked on entry
+        matrix = self._axis_matrix(view, frame.axis)
+        levels = light_of(frame.levels, self.scene.display.gamma)
+        lit = np.flatnonzero(levels)
+        if len(lit) > MANY_COLUMNS * len(levels):
+            return matrix @ levels
+        light = np.zeros(matrix.shape[0], np.float32)
+        for column in lit:
+            part = slice(matrix.indptr[column], matrix.indptr[column + 1])
+            light[matrix.indices[part]] += matrix.data[part] * levels[column]
+        return light
+
+    def _patch_light(self, view: View, frame: Frame) -> Float32[np.ndarray, " pixels"] | np.float32:
+        """Return what the patches add to the stripe under them; later patches cover earlier ones."""
+        if not frame.patches:
+            return np.float32(0)
+        left = max(0, min(patch.column for patch in frame.patches))
+        top = max(0, min(patch.row for patch in frame.patches))
+        right = min(self.scene.display.columns, max(p.column + p.levels.shape[1] for p in frame.patches))
+        bottom = min(self.scene.display.rows, max(p.row + p.levels.shape[0] for p in frame.patches))
+        if right <= left or bottom <= top:
+            return np.float32(0)
+        assert frame.levels is not None  # checked on entry
+        gamma = self.scene.display.gamma
+        if frame.axis == "x":
+            under = np.broadcast_to(frame.levels[left:right], (bottom - top, right - left))
+        else:
+            under = np.broadcast_to(frame.levels[top:bottom, None], (bottom - top, right - left))
+        shown = _with_patches(under, frame, left, top)
+        matrix = self._made(
+            view.patches,
+            (left, top, right, bottom),
+            lambda: patch_matrix(
+                view.places,
+                column=left,
+                row=top,
+                columns=right - left,
+                rows=bottom - top,
+                supersampling=self.scene.camera.supersampling,
+            ),
+        )
+        return matrix @ (light_of(shown, gamma) - light_of(under, gamma)).ravel()
+
+    def _image_light(self, view: View, frame: Frame) -> Values:
+        assert frame.image is not None  # checked on entry
+        shown = _with_patches(frame.image, frame, 0, 0)
+        return image_light(
+            view.places, light_of(shown, self.scene.display.gamma), supersampling=self.scene.camera.supersampling
+        )
+
+
+def _with_patches(under: np.ndarray, frame: Frame, left: int, top: int) -> np.ndarray:
+    """Draw a frame's patches over a part of the panel whose first pixel is (left, top); what sticks out is cut off."""
+    shown = under.copy()
+    rows, columns = shown.shape
+    for patch in frame.patches:
+        first_row, first_column = patch.row - top, patch.column - left
+        height, width = patch.levels.shape
+        low_row, high_row = max(first_row, 0), min(first_row + height, rows)
+        low_column, high_column = max(first_column, 0), min(first_column + width, columns)
+        if low_row < high_row and low_column < high_column:
+            shown[low_row:high_row, low_column:high_column] = patch.levels[
+                low_row - first_row : high_row - first_row, low_column - first_column : high_column - first_column
+            ]
+    return shown

@@ -1,0 +1,228 @@
+"""A scene: the object, the tank, the display and the camera that the simulator pretends to have.
+
+Frame: right-handed, x right, y down, z away from the camera. Lengths are millimetres; in a scene whose
+``length_unit`` is "scene unit", one unit stands for one millimetre. Built-in scenes are the TOML files in ``scenes/``;
+any file of the same shape is a scene too.
+"""
+
+import tomllib
+from importlib import resources
+from pathlib import Path
+from typing import Annotated, Literal
+
+import numpy as np
+from pydantic import BaseModel, ConfigDict, Field, ValidationError, model_validator
+
+from sim_backend.optics.screen import ScreenPose
+from sim_backend.optics.shapes import half_space
+from sim_backend.optics.tracer import Body, OpticalWorld
+from sim_backend.specimens import Specimen
+
+Finite = Annotated[float, Field(allow_inf_nan=False)]
+Positive = Annotated[float, Field(gt=0, allow_inf_nan=False)]
+Count = Annotated[int, Field(gt=0)]
+Index = Annotated[float, Field(ge=1.0, le=4.0)]
+Vector = tuple[Finite, Finite, Finite]
+
+
+class SceneError(ValueError):
+    """A scene that does not exist or cannot be read; the message is one sentence for the user."""
+
+
+class ScenePart(BaseModel):
+    """Common behaviour of every part of a scene: unchangeable, and no field that we do not know."""
+
+    model_config = ConfigDict(frozen=True, extra="forbid")
+
+
+class SceneGlass(ScenePart):
+    """A plane sheet over the display's pixels."""
+
+    thickness_mm: Positive
+    n: Index
+
+
+class SceneDisplay(ScenePart):
+    """The panel: its pixels, how drive level turns into light, and where its pixel plane stands at stage position 0.
+
+    Light is ``(level / 255) ** gamma``, from 0 to 1. The stage carries the panel along ``stage_direction``.
+    """
+
+    columns: Count
+    rows: Count
+    pitch_mm: Positive
+    gamma: Positive = 1.0
+    cover_glass: SceneGlass | None = None
+    centre_mm: Vector = (0.0, 0.0, 0.0)
+    x_axis: Vector = (1.0, 0.0, 0.0)
+    y_axis: Vector = (0.0, 1.0, 0.0)
+    stage_direction: Vector = (0.0, 0.0, 1.0)
+
+
+class SceneCamera(ScenePart):
+    """The camera: where it stands, its lens, and what its sensor adds.
+
+    A pixel that sees a fully lit display without loss has ``ambient + signal`` of full scale, a dark one ``ambient``.
+    ``full_well_electrons`` is full scale. The photo's grey level is 255 · value ^ (1 / response_gamma).
+    """
+
+    columns: Count
+    rows: Count
+    position_mm: Vector
+    x_axis: Vector = (1.0, 0.0, 0.0)
+    y_axis: Vector = (0.0, 1.0, 0.0)
+    focal_x_px: Positive
+    focal_y_px: Positive
+    centre_x_px: Finite
+    centre_y_px: Finite
+    distortion: tuple[Finite, ...] = ()
+    supersampling: Annotated[int, Field(ge=1, le=8)] = 2
+    blur_px: Annotated[float, Field(ge=0)] = 0.0
+    full_well_electrons: Positive = 20000.0
+    read_noise_electrons: Annotated[float, Field(ge=0)] = 12.0
+    signal: Annotated[float, Field(gt=0, le=2)] = 0.9
+    ambient: Annotated[float, Field(ge=0, le=1)] = 0.01
+    response_gamma: Positive = 1.0
+    jpeg_quality: Annotated[int, Field(ge=1, le=100)] = 95
+
+    def world_from_camera(self) -> np.ndarray:
+        """Return the 3 by 3 matrix whose columns are the camera's x, y and forward axes."""
+        x, y = np.array(self.x_axis), np.array(self.y_axis)
+        return np.column_stack([x, y, np.cross(x, y)])
+
+
+class Tank(ScenePart):
+    """How much liquid the tank takes, and how much of it raises the level from dry to wet."""
+
+    free_volume_ml: Positive = 6000.0
+    fill_ml: Positive = 4000.0
+
+
+class SuggestedStripe(ScenePart):
+    """The stripe that suits the scene, in device pixels."""
+
+    profile: Literal["hard", "raised_cosine"] = "raised_cosine"
+    width_px: Positive = 6.0
+    step_px: Positive = 1.0
+
+
+class Scene(ScenePart):
+    """Everything the simulator needs to know; see the module's docstring for frame and units."""
+
+    name: str
+    note: str = ""
+    method: Literal["liquid", "thin"]
+    length_unit: Literal["mm", "scene unit"] = "mm"
+    specimen: Specimen
+    n_object: Index
+    n_air: Index = 1.0
+    n_liquid: Index | None = None
+    liquid: str = "water"
+    liquid_level_mm: Finite | None = None
+    fresnel: bool = True
+    display: SceneDisplay
+    stage_positions_mm: tuple[Finite, Finite]
+    camera: SceneCamera
+    tank: Tank = Tank()
+    stripe: SuggestedStripe = SuggestedStripe()
+    seed: Annotated[int, Field(ge=0)] = 1
+
+    @model_validator(mode="after")
+    def _liquid_is_described(self) -> "Scene":
+        if self.method == "liquid" and (self.n_liquid is None or self.liquid_level_mm is None):
+            raise ValueError("method 'liquid' needs n_liquid and liquid_level_mm")
+        return self
+
+    @model_validator(mode="after")
+    def _axes_are_orthonormal(self) -> "Scene":
+        for owner, x_axis, y_axis in (
+            ("display", self.display.x_axis, self.display.y_axis),
+            ("camera", self.camera.x_axis, self.camera.y_axis),
+        ):
+            x, y = np.array(x_axis), np.array(y_axis)
+            if abs(x @ x - 1) > 1e-6 or abs(y @ y - 1) > 1e-6 or abs(x @ y) > 1e-6:
+                raise ValueError(f"the {owner}'s x_axis and y_axis must have length 1 and be at right angles")
+        return self
+
+    def display_pose_at(self, stage_position_mm: float) -> ScreenPose:
+        """Return where the plane of the display's pixels stands when the stage is at this position."""
+        panel = self.display
+        centre = np.array(panel.centre_mm) + stage_position_mm * np.array(panel.stage_direction)
+        return ScreenPose(centre, np.array(panel.x_axis), np.array(panel.y_axis))
+
+    def world(self, *, wet: bool, object_present: bool = True) -> OpticalWorld:
+        """Return the bodies that light meets: liquid if ``wet``, then the object."""
+        bodies: tuple[Body, ...] = ()
+        if wet:
+            if self.n_liquid is None or self.liquid_level_mm is None:
+                raise SceneError(f"scene {self.name!r} has no liquid, so it cannot be photographed wet")
+            surface = half_space((0, 0, self.liquid_level_mm), (0, 0, -1))
+            bodies += (Body(surface, self.n_liquid, of_object=False),)
+        if object_present:
+            bodies += self.specimen.bodies(n_object=self.n_object, n_air=self.n_air)
+        return OpticalWorld(bodies, self.n_air)
+
+    def resized(self, *, camera_columns: int | None = None, display_columns: int | None = None) -> "Scene":
+        """Return the same scene with more or fewer pixels over the same field and the same panel."""
+        changes: dict[str, object] = {}
+        if camera_columns is not None:
+            changes["camera"] = _resized_camera(self.camera, camera_columns)
+        if display_columns is not None:
+            scale = display_columns / self.display.columns
+            changes["display"] = self.display.model_copy(
+                update={
+                    "columns": display_columns,
+                    "rows": max(1, round(self.display.rows * scale)),
+                    "pitch_mm": self.display.pitch_mm / scale,
+                }
+            )
+        return self.model_copy(update=changes)
+
+
+def _resized_camera(camera: SceneCamera, columns: int) -> SceneCamera:
+    """Scale a camera's pixels about the corner of the sensor, so that the field stays the same."""
+    scale = columns / camera.columns
+    return camera.model_copy(
+        update={
+            "columns": columns,
+            "rows": max(1, round(camera.rows * scale)),
+            "focal_x_px": camera.focal_x_px * scale,
+            "focal_y_px": camera.focal_y_px * scale,
+            "centre_x_px": (camera.centre_x_px + 0.5) * scale - 0.5,
+            "centre_y_px": (camera.centre_y_px + 0.5) * scale - 0.5,
+            "blur_px": camera.blur_px * scale,
+        }
+    )
+
+
+def scene_names() -> tuple[str, ...]:
+    """Return the names of the built-in scenes."""
+    folder = resources.files("sim_backend") / "scenes"
+    return tuple(sorted(entry.name.removesuffix(".toml") for entry in folder.iterdir() if entry.name.endswith(".toml")))
+
+
+def load_scene(name_or_path: str | Path) -> Scene:
+    """Return a built-in scene by name, or the scene that a TOML file describes.
+
+    Raises
+    ------
+    SceneError
+        If there is no such scene, or the file is not one; the message names the field, or lists the built-in scenes.
+    """
+    if str(name_or_path) in scene_names():
+        text = (resources.files("sim_backend") / "scenes" / f"{name_or_path}.toml").read_text("utf-8")
+    else:
+        path = Path(name_or_path)
+        if not path.is_file():
+            raise SceneError(
+                f"no scene {str(name_or_path)!r}: choose one of {', '.join(scene_names())}, or give a TOML file"
+            )
+        text = path.read_text("utf-8")
+    try:
+        return Scene.model_validate(tomllib.loads(text))
+    except tomllib.TOMLDecodeError as error:
+        raise SceneError(f"scene {str(name_or_path)!r} is not TOML: {error}") from error
+    except ValidationError as error:
+        first = error.errors()[0]
+        place = ".".join(str(part) for part in first["loc"])
+        raise SceneError(f"scene {str(name_or_path)!r}, {place or 'as a whole'}: {first['msg']}") from error
