@@ -41,10 +41,11 @@ def now_text() -> str:
 
 
 class JournalWriter:
-    """Append lines to a journal; each is on disk when the call returns."""
+    """Append lines to a journal; each is on disk when the call returns, or ``durable`` is False."""
 
-    def __init__(self, path: Path) -> None:
+    def __init__(self, path: Path, *, durable: bool = True) -> None:
         _cut_torn_line(path)
+        self._durable = durable
         self._file = path.open("ab")
 
     def append(self, event: str, **fields: object) -> None:
@@ -52,7 +53,8 @@ class JournalWriter:
         line = json.dumps({"event": event, "time": now_text(), **fields}, allow_nan=False)
         self._file.write(line.encode() + b"\n")
         self._file.flush()
-        os.fsync(self._file.fileno())
+        if self._durable:
+            os.fsync(self._file.fileno())
 
     def close(self) -> None:
         """Close the file; safe to call twice."""

@@ -110,20 +110,25 @@ def open_session(folder: Path) -> Session:
 class SessionWriter:
     """Writes a session so that nothing it acknowledged can be lost."""
 
-    def __init__(self, folder: Path, manifest: Manifest, journal: JournalWriter) -> None:
+    def __init__(self, folder: Path, manifest: Manifest, journal: JournalWriter, *, durable: bool = True) -> None:
         self.folder = folder
         self.manifest = manifest
         self.journal = journal
+        self._durable = durable
 
     @classmethod
-    def create(cls, folder: Path, manifest: Manifest) -> "SessionWriter":
-        """Start a new session in a folder that is absent or empty."""
+    def create(cls, folder: Path, manifest: Manifest, *, durable: bool = True) -> "SessionWriter":
+        """Start a new session in a folder that is absent or empty.
+
+        ``durable=False`` leaves it to the system when photos and journal reach the disk: for simulations, which
+        can be made again.
+        """
         try:
             folder.mkdir(parents=True, exist_ok=True)
             if any(folder.iterdir()):
                 raise SessionError(f"{folder}: not empty; choose a new folder for the session")
             write_durably(folder / MANIFEST_NAME, (manifest.model_dump_json(indent=2) + "\n").encode())
-            return cls(folder, manifest, JournalWriter(folder / JOURNAL_NAME))
+            return cls(folder, manifest, JournalWriter(folder / JOURNAL_NAME, durable=durable), durable=durable)
         except OSError as error:
             raise SessionError(f"{folder}: cannot be written ({error.strerror})") from error
 
@@ -144,7 +149,7 @@ class SessionWriter:
         place_px: float | None = None,
         device: dict[str, Any] | None = None,
     ) -> PhotoRecord:
-        """Write a photo, then its journal line; both are on disk when this returns."""
+        """Write a photo, then its journal line; both are on disk when this returns (unless not ``durable``)."""
         record = PhotoRecord(
             set=set_name,
             sweep=sweep,
@@ -157,7 +162,7 @@ class SessionWriter:
             device=device or {},
         )
         try:
-            write_durably(self.folder / record.file, data)
+            write_whole(self.folder / record.file, data, durable=self._durable)
             self.journal.append("photo", **record.model_dump())
         except OSError as error:
             raise SessionError(
@@ -184,13 +189,21 @@ class SessionWriter:
 
 def write_durably(path: Path, data: bytes) -> None:
     """Write a file so that after a power cut it is whole or absent: temporary name, flush, rename, flush the folder."""
+    write_whole(path, data, durable=True)
+
+
+def write_whole(path: Path, data: bytes, *, durable: bool) -> None:
+    """Write a file under a temporary name and rename it; unless ``durable``, a power cut may still take it."""
     path.parent.mkdir(parents=True, exist_ok=True)
     temporary = path.with_name(path.name + ".part")
     with temporary.open("wb") as file:
         file.write(data)
         file.flush()
-        os.fsync(file.fileno())
+        if durable:
+            os.fsync(file.fileno())
     temporary.replace(path)
+    if not durable:
+        return
     folder = os.open(path.parent, os.O_RDONLY)
     try:
         os.fsync(folder)

@@ -86,6 +86,15 @@ class Tank(Part):
         return self
 
 
+# A pump may run this much longer than its calibrated rate says before its own time limit ends the flow.
+PUMP_TIME_MARGIN = 1.2
+
+
+def longest_run_s(volume_ml: float, tank: Tank) -> float:
+    """Return the longest time that the pump may run to move ``volume_ml``."""
+    return PUMP_TIME_MARGIN * volume_ml / tank.pump_rate_ml_per_min * 60
+
+
 class StageTravel(Part):
     """The linear stage: where position 0 and position 1 are, how far it may go and how fast it is."""
 

@@ -11,7 +11,7 @@ from typing import Literal
 
 from recon.manifest import Axis, Condition
 from recon.patterns import places_px
-from rig.config import RigConfig, Tank
+from rig.config import RigConfig, Tank, longest_run_s
 
 Position = Literal[0, 1]
 SetPlace = tuple[Position, Condition]
@@ -20,8 +20,6 @@ Request = Literal["insert_object", "remove_object", "fill_tank", "drain_tank"]
 
 # A level read from a sensor or a ruler is good to about one per cent of the fill.
 LEVEL_TOLERANCE = 0.01
-# A pump may run this much longer than its calibrated rate says before its own time limit ends the flow.
-PUMP_TIME_MARGIN = 1.2
 
 
 @dataclass(frozen=True, slots=True)
@@ -169,7 +167,7 @@ def plan_capture(
             steps.append(_ask_for_object(object_present, config.object.name))
         steps += _photograph(photos)
     if config.tank is not None and config.tank.drain_at_end and config.tank.has_pump and tank_ml > 0:
-        steps.append(DrainTank(tank_ml, 0.0, _longest_run_s(tank_ml, config.tank)))
+        steps.append(DrainTank(tank_ml, 0.0, longest_run_s(tank_ml, config.tank)))
     return tuple(steps)
 
 
@@ -192,15 +190,11 @@ def _bring_tank_to(target_ml: float, *, from_ml: float, tank: Tank, config: RigC
     elif not tank.has_pump:
         yield AskOperator("drain_tank", f"Drain the tank down to {target_ml:g} ml; do not touch object or camera.")
     elif filling:
-        yield FillTank(volume_ml, target_ml, _longest_run_s(volume_ml, tank))
+        yield FillTank(volume_ml, target_ml, longest_run_s(volume_ml, tank))
     else:
-        yield DrainTank(-volume_ml, target_ml, _longest_run_s(-volume_ml, tank))
+        yield DrainTank(-volume_ml, target_ml, longest_run_s(-volume_ml, tank))
     if config.timing.still_after_fill_s > 0:
         yield WaitUntilStill(config.timing.still_after_fill_s, "the liquid was moved")
-
-
-def _longest_run_s(volume_ml: float, tank: Tank) -> float:
-    return PUMP_TIME_MARGIN * volume_ml / tank.pump_rate_ml_per_min * 60
 
 
 def _ask_for_object(present: bool, name: str) -> AskOperator:

@@ -62,8 +62,10 @@ class Motion:
     def position_mm(self, now_s: float) -> float:
         """Return where the stage is at ``now_s``."""
         distance_mm = self.to_mm - self.from_mm
-        travelled_mm = min(abs(distance_mm), self.velocity_mm_per_s * max(0.0, now_s - self.started_s))
-        return self.from_mm + (travelled_mm if distance_mm >= 0 else -travelled_mm)
+        travelled_mm = self.velocity_mm_per_s * (now_s - self.started_s)
+        if travelled_mm >= abs(distance_mm):
+            return self.to_mm  # exactly: from + (to - from) may differ from to in its last bit
+        return self.from_mm + (travelled_mm if distance_mm > 0 else -travelled_mm)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -108,6 +110,13 @@ class World:
         with self._lock:
             self._advance()
             self._flow = None
+
+    def pour_by_hand(self, to_ml: float) -> None:
+        """Let a person bring the tank to ``to_ml`` from the reservoir, or back into it."""
+        with self._lock:
+            self._advance()
+            volume_ml = to_ml - self._state.tank_ml
+            self._transfer("fill" if volume_ml > 0 else "drain", abs(volume_ml))
 
     def flow_direction(self) -> FlowDirection | None:
         """Return which way the pump turns, or None while it stands."""

@@ -1,0 +1,162 @@
+"""The ``rig`` command: plan, rehearse and run a capture."""
+
+import logging
+import sys
+from importlib import resources
+from pathlib import Path
+from typing import Annotated
+
+import typer
+from rich.console import Console
+
+from drivers.errors import DeviceError
+from recon.errors import ReconError
+from recon.session import open_session
+from rig import options
+from rig.capture import capture as run_capture
+from rig.capture import whole_photos
+from rig.config import DEFAULT_FILE
+from rig.devices import open_devices
+from rig.errors import CaptureStopped, ConfigError, RigError
+from rig.options import choose_rig, rig_of_session
+from rig.plan import plan_capture, step_text
+from rig.plan_table import print_plan
+from rig.pump_cli import app as pump_app
+from rig.scene_config import SceneOptions, config_of_scene, open_scene
+from rig.simulate import simulate_session
+from rig.stage_cli import app as stage_app
+from sim_backend.scene import load_scene, scene_names
+
+app = typer.Typer(
+    name="rig",
+    help="Photograph a transparent object: four sweeps of a stripe, two display places, dry and wet.",
+    no_args_is_help=True,
+    add_completion=False,
+    pretty_exceptions_enable=False,
+    rich_markup_mode=None,
+)
+app.add_typer(stage_app, name="stage")
+app.add_typer(pump_app, name="pump")
+console = Console(soft_wrap=True, highlight=False)
+
+
+@app.command()
+def capture(
+    session: Annotated[Path, typer.Option("--session", metavar="DIR", help="Folder of the session to write.")],
+    sim: options.SimOption = False,
+    config: options.ConfigOption = None,
+    scene: options.SceneOption = None,
+    resume: Annotated[bool, typer.Option("--resume", help="Go on with a session that was interrupted.")] = False,
+    dry_run: Annotated[bool, typer.Option("--dry-run", help="Print every step and touch nothing.")] = False,
+    profile: options.ProfileOption = None,
+    width_px: options.WidthOption = None,
+    step_px: options.StepOption = None,
+    order: options.OrderOption = None,
+    size: options.SizeOption = None,
+    display_columns: options.DisplayOption = None,
+    seed: options.SeedOption = None,
+    state: options.StateOption = None,
+    real_time: options.RealTimeOption = False,
+) -> None:
+    """Take the photos of the four sets.
+
+    Ctrl-C stops after the current photo, a second Ctrl-C at once; both leave the pump off and a session that
+    --resume completes.
+    """
+    changes = SceneOptions(profile, width_px, step_px, order, size, display_columns, seed)
+    if resume:
+        if config is not None or scene is not None or changes != SceneOptions():
+            raise ConfigError(
+                "--resume keeps the configuration that the session began with; leave out the other options"
+            )
+        rig = rig_of_session(session, sim)
+    else:
+        rig = choose_rig(sim, config, scene, changes)
+    if dry_run:
+        done = whole_photos(open_session(session)) if resume else frozenset()
+        for step in plan_capture(rig.config, done=done):
+            console.print(step_text(step), markup=False)
+        return
+    simulation = rig.simulation(real_time=real_time, state_file=state)
+    with open_devices(rig.config, simulation=simulation) as devices:
+        result = run_capture(rig.config, session, devices=devices, scene=rig.scene, resume=resume, console=console)
+    console.print(f"{session}: {result.photos_done} photos, {result.photos_taken} of them taken now", markup=False)
+
+
+@app.command()
+def simulate(
+    scene: Annotated[str, typer.Argument(metavar="SCENE", help="A name from `rig scenes`, or a TOML file.")],
+    folder: Annotated[Path, typer.Argument(metavar="DIR", help="Folder of the session to write.")],
+    profile: options.ProfileOption = None,
+    width_px: options.WidthOption = None,
+    step_px: options.StepOption = None,
+    order: options.OrderOption = None,
+    size: options.SizeOption = None,
+    display_columns: options.DisplayOption = None,
+    seed: options.SeedOption = None,
+    workers: Annotated[int, typer.Option("--workers", min=1, help="Threads that compute photos.")] = 2,
+) -> None:
+    """Write a simulated session and its truth at once, without going through devices."""
+    changes = SceneOptions(profile, width_px, step_px, order, size, display_columns, seed)
+    opened = open_scene(scene, changes)
+    count = simulate_session(opened, config_of_scene(opened, changes), folder, workers=workers, console=console)
+    console.print(f"{folder}: {count} photos and their truth", markup=False)
+
+
+@app.command()
+def plan(
+    config: Annotated[
+        Path | None, typer.Argument(metavar="CONFIG", help=f"The rig's configuration  [default: {DEFAULT_FILE}]")
+    ] = None,
+    sim: options.SimOption = False,
+    scene: options.SceneOption = None,
+    profile: options.ProfileOption = None,
+    width_px: options.WidthOption = None,
+    step_px: options.StepOption = None,
+    order: options.OrderOption = None,
+    size: options.SizeOption = None,
+    display_columns: options.DisplayOption = None,
+) -> None:
+    """Say what a capture will do and what it will cost: photos, time, liquid, disk."""
+    changes = SceneOptions(profile, width_px, step_px, order, size, display_columns)
+    rig = choose_rig(sim or scene is not None, config, scene, changes)
+    print_plan(plan_capture(rig.config), rig.config, console)
+
+
+@app.command()
+def init(
+    file: Annotated[Path, typer.Argument(metavar="FILE", help="Where to write it.")] = DEFAULT_FILE,
+) -> None:
+    """Write a configuration in which every value is explained; then measure your rig and change the values."""
+    if file.exists():
+        raise ConfigError(f"{file}: exists already and is kept as it is; give another name, or remove it first")
+    file.write_text((resources.files("rig") / "template.toml").read_text("utf-8"), encoding="utf-8")
+    console.print(f"{file}: change the values to those of your rig, then look at `rig plan {file}`", markup=False)
+
+
+@app.command()
+def scenes() -> None:
+    """List the scenes that can be simulated."""
+    for name in scene_names():
+        console.print(f"{name:24}{load_scene(name).note}", markup=False)
+
+
+def main() -> None:
+    """Run the command; every expected failure ends in one sentence and a non-zero exit code."""
+    logging.basicConfig(level=logging.WARNING, format="%(levelname)s %(name)s: %(message)s")
+    try:
+        app()
+    except CaptureStopped as stopped:
+        _fail(str(stopped), code=130)
+    except (RigError, ReconError, DeviceError) as error:
+        _fail(str(error), code=1)
+    except OSError as error:
+        place = f"{error.filename}: " if error.filename else ""
+        _fail(f"{place}{error.strerror or error}", code=1)
+    except KeyboardInterrupt:
+        _fail("interrupted", code=130)
+
+
+def _fail(message: str, *, code: int) -> None:
+    Console(stderr=True, soft_wrap=True, highlight=False).print(f"rig: {message}", markup=False)
+    sys.exit(code)

@@ -1,0 +1,174 @@
+"""The one module that knows which devices are real.
+
+Nothing here falls back to a simulated device: simulated devices come when they are asked for, real ones when they are
+configured, and anything else is an error.
+"""
+
+from collections.abc import Iterator
+from contextlib import ExitStack, contextmanager
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+
+from drivers.protocols import Camera, Clock, Device, Display, Frame, LevelSensor, Pump, Stage
+from recon.manifest import DeviceRecord
+from rig.config import RigConfig
+from rig.errors import ConfigError
+from rig.operators import Operator
+from rig.plan import Request
+from sim_backend.camera import SimulatedCamera
+from sim_backend.clock import RealClock, SimulatedClock
+from sim_backend.display import SimulatedDisplay
+from sim_backend.photography import Photographer
+from sim_backend.pump import SimulatedLevelSensor, SimulatedPump
+from sim_backend.scene import Scene
+from sim_backend.stage import SimulatedStage
+from sim_backend.world import TankSize, World, WorldState, load_state, save_state
+
+# How the simulated photo's time divides; the rest of a photo is its download.
+EXPOSURE_FRACTION = 0.25
+DISPLAY_LATENCY_S = 0.03
+
+
+@dataclass(frozen=True, slots=True)
+class Devices:
+    """Everything that a capture acts on. A rig for thin objects has no pump; few have a level sensor."""
+
+    camera: Camera
+    display: Display
+    stage: Stage
+    pump: Pump | None
+    level_sensor: LevelSensor | None
+    operator: Operator
+    clock: Clock
+
+    def records(self) -> dict[str, DeviceRecord]:
+        """Return who answered, for the session's manifest."""
+        named: dict[str, Device | None] = {
+            "camera": self.camera,
+            "display": self.display,
+            "stage": self.stage,
+            "pump": self.pump,
+            "level_sensor": self.level_sensor,
+        }
+        records = {}
+        for name, device in named.items():
+            if device is not None:
+                info = device.info()
+                records[name] = DeviceRecord(
+                    kind=info.kind, model=info.model, address=info.address, version=info.version
+                )
+        return records
+
+
+@dataclass(frozen=True, slots=True)
+class Simulation:
+    """How to simulate: the scene, whether time passes as in a lab, and where the tank's state is kept between runs."""
+
+    scene: Scene
+    real_time: bool = False
+    state_file: Path | None = None
+
+
+@contextmanager
+def open_devices(config: RigConfig, *, simulation: Simulation | None) -> Iterator[Devices]:
+    """Open every device that ``config`` needs; on leaving, by any road, stage and pump stand still.
+
+    Raises
+    ------
+    ConfigError
+        When no simulation is asked for and a device is not configured.
+    DeviceError
+        When a device does not answer.
+    """
+    if simulation is None:
+        with open_real_devices(config) as devices:
+            yield devices
+        return
+    with open_world(config, simulation) as world, ExitStack() as stack:
+        devices = simulated_devices(config, world, Photographer(simulation.scene))
+        for device in (devices.camera, devices.display, devices.stage, devices.pump, devices.level_sensor):
+            if device is not None:
+                stack.enter_context(device)
+        yield devices
+
+
+@contextmanager
+def open_real_devices(config: RigConfig) -> Iterator[Devices]:
+    """Refuse what is not configured, in one sentence."""
+    wanted = {"camera", "display", "stage"} | ({"pump"} if config.tank and config.tank.has_pump else set())
+    addresses = config.devices.model_dump()
+    missing = sorted(name for name in wanted if not addresses[name])
+    if missing:
+        raise ConfigError(
+            f"no {', '.join(missing)} configured: name driver and address in the section [devices] of the "
+            "configuration, or rehearse with --sim"
+        )
+    name = min(wanted)
+    raise ConfigError(f"devices.{name}: no driver answers to {addresses[name]!r}; rehearse with --sim")
+    yield  # makes this a generator, as a context manager must be
+
+
+@contextmanager
+def open_world(config: RigConfig, simulation: Simulation) -> Iterator[World]:
+    """Build the simulated world, as its state file left it where there is one, and keep its state on leaving."""
+    clock: Clock = RealClock() if simulation.real_time else SimulatedClock()
+    path = simulation.state_file
+    state = load_state(path) if path is not None and path.exists() else fresh_state(config)
+    tank = config.tank
+    # A thin object needs no liquid: a tank that is never filled stays dry.
+    size = TankSize(tank.free_volume_ml, tank.fill_ml) if tank else TankSize(1.0, 1.0)
+    dark = Frame(axis="x", levels=np.zeros(config.display.columns, dtype=np.uint8))
+    world = World(clock=clock, tank=size, dark_frame=dark, state=state)
+    try:
+        yield world
+    finally:
+        world.stop_flow()
+        world.stop_motion()
+        if path is not None:
+            save_state(world.state(), path)
+
+
+def fresh_state(config: RigConfig) -> WorldState:
+    """Return a rig as it is found in the morning: the liquid in the reservoir, the stage somewhere."""
+    low_mm, high_mm = config.stage.travel_mm
+    return WorldState(reservoir_ml=config.tank.reservoir_ml if config.tank else 0.0, stage_mm=(low_mm + high_mm) / 2)
+
+
+def simulated_devices(config: RigConfig, world: World, photographer: Photographer) -> Devices:
+    """Return simulated devices that share ``world``; nothing is opened yet."""
+    exposure_s = EXPOSURE_FRACTION * config.timing.photo_s
+    tank = config.tank
+    return Devices(
+        camera=SimulatedCamera(
+            world, photographer, exposure_s=exposure_s, download_s=config.timing.photo_s - exposure_s
+        ),
+        display=SimulatedDisplay(
+            world, columns=config.display.columns, rows=config.display.rows, latency_s=DISPLAY_LATENCY_S
+        ),
+        stage=SimulatedStage(world, travel_mm=config.stage.travel_mm, velocity_mm_per_s=config.stage.velocity_mm_per_s),
+        pump=SimulatedPump(world, rate_ml_per_min=tank.pump_rate_ml_per_min) if tank and tank.has_pump else None,
+        level_sensor=SimulatedLevelSensor(world) if tank else None,
+        operator=SimulatedOperator(world),
+        clock=world.clock,
+    )
+
+
+class SimulatedOperator:
+    """A person who does at once what they are asked."""
+
+    def __init__(self, world: World) -> None:
+        self._world = world
+
+    def do(self, request: Request, text: str) -> None:  # noqa: ARG002  (the request says it all)
+        """Do it in the simulated world."""
+        match request:
+            case "insert_object" | "remove_object":
+                self._world.place_object(request == "insert_object")
+            case "fill_tank" | "drain_tank":
+                self._world.pour_by_hand(self._world.tank.fill_ml if request == "fill_tank" else 0.0)
+
+    def tank_ml(self, *, fill_ml: float) -> float:  # noqa: ARG002  (looks, instead of guessing)
+        """Look at the tank."""
+        return self._world.state().tank_ml

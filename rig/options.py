@@ -1,0 +1,98 @@
+"""The options that several ``rig`` commands share, and what they mean together: the rig and, in rehearsal, its scene."""
+
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Annotated, Literal
+
+import typer
+
+from recon.session import open_session
+from rig.config import DEFAULT_FILE, RigConfig, load_config
+from rig.devices import Simulation
+from rig.errors import ConfigError
+from rig.scene_config import SceneOptions, config_of_scene, open_scene
+from rig.session_manifest import config_of_session, scene_of_session
+from sim_backend.scene import Scene
+
+DEFAULT_SCENE = "semi_ellipsoid"
+
+SimOption = Annotated[bool, typer.Option("--sim", help="Rehearse with simulated devices; nothing real is touched.")]
+ConfigOption = Annotated[
+    Path | None, typer.Option("--config", metavar="FILE", help=f"The rig's configuration  [default: {DEFAULT_FILE}]")
+]
+SceneOption = Annotated[
+    str | None,
+    typer.Option(
+        "--scene",
+        metavar="SCENE",
+        help=f"What is simulated: a name from `rig scenes`, or a TOML file  [default: {DEFAULT_SCENE}]",
+    ),
+]
+ProfileOption = Annotated[
+    Literal["hard", "raised_cosine"] | None, typer.Option("--profile", help="Profile of the stripe.")
+]
+WidthOption = Annotated[
+    float | None, typer.Option("--width-px", metavar="PX", help="Width of the stripe in device pixels.")
+]
+StepOption = Annotated[
+    float | None, typer.Option("--step-px", metavar="PX", help="Step between two photos in device pixels.")
+]
+OrderOption = Annotated[
+    Literal["one_fill", "paper"] | None,
+    typer.Option("--order", help="one_fill: the tank is filled once. paper: filled, drained and filled again."),
+]
+SizeOption = Annotated[
+    int | None, typer.Option("--size", metavar="COLUMNS", min=1, help="Columns of the simulated photo.")
+]
+DisplayOption = Annotated[
+    int | None, typer.Option("--display-columns", metavar="COLUMNS", min=1, help="Columns of the simulated display.")
+]
+SeedOption = Annotated[int | None, typer.Option("--seed", min=0, help="Seed of the simulated noise.")]
+StateOption = Annotated[
+    Path | None,
+    typer.Option(
+        "--state",
+        metavar="FILE",
+        help="Keep the simulated tank and stage in this file between commands; else each command starts with an empty "
+        "tank, a full reservoir and a stage that is not homed.",
+    ),
+]
+RealTimeOption = Annotated[bool, typer.Option("--real-time", help="Let simulated devices take as long as real ones.")]
+
+
+@dataclass(frozen=True, slots=True)
+class Rig:
+    """What a command works on: the configuration, and the simulated scene if this is a rehearsal."""
+
+    config: RigConfig
+    scene: Scene | None
+
+    def simulation(self, *, real_time: bool, state_file: Path | None) -> Simulation | None:
+        """Return how to simulate, or None for real devices."""
+        return None if self.scene is None else Simulation(self.scene, real_time=real_time, state_file=state_file)
+
+
+def choose_rig(sim: bool, config_file: Path | None, scene_name: str | None, options: SceneOptions) -> Rig:
+    """Return the configured rig, or with ``sim`` the simulated one; mixtures are refused."""
+    if not sim:
+        if scene_name is not None or options != SceneOptions():
+            raise ConfigError(
+                "--scene and the options of scene and stripe belong to simulated devices; add --sim, or set the values "
+                "in the configuration"
+            )
+        return Rig(load_config(config_file or DEFAULT_FILE), None)
+    if config_file is not None:
+        raise ConfigError("--sim takes everything from its scene, so --config has no effect; leave out one of them")
+    scene = open_scene(scene_name or DEFAULT_SCENE, options)
+    return Rig(config_of_scene(scene, options), scene)
+
+
+def rig_of_session(folder: Path, sim: bool) -> Rig:
+    """Return the rig that a session was begun with; simulated and real photos never share a session."""
+    session = open_session(folder)
+    config, scene = config_of_session(session), scene_of_session(session)
+    if sim and scene is None:
+        raise ConfigError(f"{folder}: was begun with real devices; leave out --sim")
+    if not sim and scene is not None:
+        raise ConfigError(f"{folder}: was begun with simulated devices; add --sim")
+    return Rig(config, scene)

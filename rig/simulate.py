@@ -1,0 +1,83 @@
+"""A simulated session written straight from the optics: the photos of ``rig capture --sim``, without its devices.
+
+Photos are pure functions of scene and plan, so that both roads lead to the same bytes.
+"""
+
+from collections import deque
+from collections.abc import Iterator
+from concurrent.futures import Future, ThreadPoolExecutor
+from pathlib import Path
+
+from rich.console import Console
+
+from recon.session import TRUTH_NAME, SessionWriter
+from rig.config import RigConfig
+from rig.frames import frame_of
+from rig.plan import SetPlace, TakePhoto, all_photos, set_name, set_order
+from rig.progress import CaptureProgress
+from rig.session_manifest import SIMULATED_DEVICE, manifest_of
+from sim_backend.photography import Photographer, save_truth
+from sim_backend.scene import Scene
+
+
+def simulate_session(
+    scene: Scene, config: RigConfig, folder: Path, *, workers: int, console: Console, with_truth: bool = True
+) -> int:
+    """Write a whole session with its truth into ``folder`` and return the number of photos.
+
+    The files are not flushed one by one: what a power cut takes can be simulated again.
+    """
+    photographer = Photographer(scene)
+    photos = all_photos(config)
+    with (
+        SessionWriter.create(
+            folder, manifest_of(config, devices={"simulator": SIMULATED_DEVICE}, scene=scene), durable=False
+        ) as writer,
+        CaptureProgress(console, total_s=len(photos)) as progress,
+    ):
+        for photo, data in develop(photos, photographer, config, workers=workers):
+            writer.save_photo(
+                data,
+                set_name=photo.set_name,
+                sweep=photo.sweep,
+                index=photo.index,
+                place_px=photo.place_px,
+                device={"frame_id": photo.frame_id},
+            )
+            progress.tell(f"{photo.set_name} {photo.sweep} {photo.index}")
+            progress.advance(1)
+        if with_truth:
+            save_truth(photographer.truth(), folder / TRUTH_NAME)
+        writer.journal.append("capture_finished", photos=len(photos))
+    return len(photos)
+
+
+def develop(
+    photos: tuple[TakePhoto, ...], photographer: Photographer, config: RigConfig, *, workers: int
+) -> Iterator[tuple[TakePhoto, bytes]]:
+    """Yield every photo in order, computed on ``workers`` threads that stay only a little ahead of the disk."""
+    places = {set_name(place): place for place in set_order(config)}
+    waiting: deque[tuple[TakePhoto, Future[bytes]]] = deque()
+    with ThreadPoolExecutor(workers) as pool:
+        try:
+            for photo in photos:
+                waiting.append((photo, pool.submit(take, photo, places[photo.set_name], photographer, config)))
+                if len(waiting) > 2 * workers:
+                    done, future = waiting.popleft()
+                    yield done, future.result()
+            while waiting:
+                done, future = waiting.popleft()
+                yield done, future.result()
+        finally:
+            pool.shutdown(wait=True, cancel_futures=True)
+
+
+def take(photo: TakePhoto, place: SetPlace, photographer: Photographer, config: RigConfig) -> bytes:
+    """Return one photo as the simulated camera would take it at this point of the plan."""
+    position, condition = place
+    return photographer.photograph(
+        frame_of(photo, config),
+        stage_position_mm=config.stage.position_mm(position),
+        wet=condition == "liquid",
+        object_present=condition != "without",
+    )
