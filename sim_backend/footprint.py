@@ -125,10 +125,15 @@ def _band_matrix(
         share = (weight * (upto - below))[inside]
         parts.append((pixel[inside], column[inside].astype(np.int32), share.astype(np.float32)))
         below = upto
+    return _sparse(parts, (pixels, device_px))
+
+
+def _sparse(parts: list[tuple[np.ndarray, np.ndarray, np.ndarray]], shape: tuple[int, int]) -> sp.csr_matrix:
+    """Add up (row, column, share) triples."""
     if not parts:
-        return sp.csr_matrix((pixels, device_px), dtype=np.float32)
+        parts = [(np.zeros(0, np.int32), np.zeros(0, np.int32), np.zeros(0, np.float32))]
     row, column, share = (np.concatenate(arrays) for arrays in zip(*parts, strict=True))
-    return sp.coo_matrix((share, (row, column)), shape=(pixels, device_px)).tocsr()
+    return sp.coo_matrix((share, (row, column)), shape=shape).tocsr()
 
 
 def _sample_places(places: ScreenMap) -> tuple[list[tuple[float, float]], tuple[Grid, Grid], tuple[Grid, Grid]]:
@@ -145,7 +150,8 @@ def image_light(
     padded = np.zeros((device_rows + 2, device_columns + 2), np.float32)
     padded[1:-1, 1:-1] = light
     offsets, column_slopes, row_slopes = _sample_places(places)
-    total = np.zeros(places.column_px.shape, np.float32)
+    fine_rows, fine_columns = places.column_px.shape
+    total = np.zeros((fine_rows, fine_columns), np.float32)
     column = np.nan_to_num(places.column_px, nan=-9.0)
     row = np.nan_to_num(places.row_px, nan=-9.0)
     for across, down in offsets:
@@ -157,7 +163,7 @@ def image_light(
         total += padded[y, x]
     total *= places.transmission / len(offsets)
     fold = supersampling
-    return total.reshape(total.shape[0] // fold, fold, total.shape[1] // fold, fold).mean(axis=(1, 3))
+    return total.reshape(fine_rows // fold, fold, fine_columns // fold, fold).mean(axis=(1, 3))
 
 
 def patch_matrix(
@@ -181,14 +187,13 @@ def patch_matrix(
     slopes = [slope[near] for slope in (*column_slopes, *row_slopes)]
     weight = places.transmission[near] / (len(offsets) * supersampling**2)
     pixels = places.column_px.size // supersampling**2
-    matrix = sp.csr_matrix((pixels, rows * columns), dtype=np.float32)
+    parts = []
     for across, down in offsets:
         i = np.floor(x + across * slopes[0] + down * slopes[1]).astype(np.int64)
         j = np.floor(y + across * slopes[2] + down * slopes[3]).astype(np.int64)
         inside = (i >= 0) & (i < columns) & (j >= 0) & (j < rows)
-        cell = (j * columns + i)[inside]
-        matrix = matrix + sp.coo_matrix((weight[inside], (pixel[inside], cell)), shape=matrix.shape).tocsr()
-    return matrix
+        parts.append((pixel[inside], (j * columns + i)[inside], weight[inside]))
+    return _sparse(parts, (pixels, rows * columns))
 
 
 def light_of(levels: UInt8[np.ndarray, "..."], gamma: float) -> Float32[np.ndarray, "..."]:

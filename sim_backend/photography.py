@@ -149,7 +149,8 @@ class Photographer:
                 )
 
     def _stripe_light(self, view: View, frame: Frame) -> Float32[np.ndarray, " pixels"]:
-        assert frame.axis is not None and frame.levels is not None  # checked on entry
+        assert frame.axis is not None  # checked on entry
+        assert frame.levels is not None
         matrix = self._axis_matrix(view, frame.axis)
         levels = light_of(frame.levels, self.scene.display.gamma)
         lit = np.flatnonzero(levels)

@@ -6,11 +6,35 @@ import cv2
 import numpy as np
 import simplejpeg
 from jaxtyping import Float32, UInt8
+from scipy.special import ndtri
 
 from drivers.protocols import Frame
 from sim_backend.scene import SceneCamera
 
 Values = Float32[np.ndarray, "rows columns"]
+
+
+def _normal_table() -> Float32[np.ndarray, " words"]:
+    """Return the mean of each of 65,536 equally likely slices of the normal distribution, scaled to variance 1."""
+    edges = ndtri(np.arange(65537) / 65536)
+    density = np.exp(-0.5 * edges**2) / np.sqrt(2 * np.pi)
+    means = (density[:-1] - density[1:]) * 65536
+    return (means / np.sqrt(np.mean(means**2))).astype(np.float32)
+
+
+# Random 16-bit words look normal numbers up here: five times faster than drawing them, and finer by far than the
+# quarter of a grey level that noise of a dark pixel amounts to. The largest is 4.3.
+NORMAL_OF_WORD = _normal_table()
+
+
+def normal_noise(shape: tuple[int, int], *, key: int) -> Values:
+    """Return independent normal numbers of variance 1, the same ones for the same key."""
+    count = shape[0] * shape[1]
+    words = np.random.SFC64(key).random_raw((count + 3) // 4).view(np.uint16)[:count]
+    noise = np.empty(count, np.float32)
+    # "wrap" only spares numpy the check of bounds that 16 bits cannot break.
+    np.take(NORMAL_OF_WORD, words, out=noise, mode="wrap")
+    return noise.reshape(shape)
 
 
 def frame_key(frame: Frame, *parts: object) -> int:
@@ -50,8 +74,7 @@ def noisy_grey(value: Values, camera: SceneCamera, *, key: int) -> UInt8[np.ndar
     light of a scene a dark pixel already holds tens of electrons or more.
     """
     full = np.float32(camera.full_well_electrons)
-    rng = np.random.Generator(np.random.SFC64(key))
-    exposed = rng.standard_normal(value.shape, dtype=np.float32)
+    exposed = normal_noise(value.shape, key=key)
     variance = value * np.float32(1 / full)
     variance += np.float32((camera.read_noise_electrons / camera.full_well_electrons) ** 2)
     np.sqrt(variance, out=variance)

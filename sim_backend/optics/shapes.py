@@ -6,7 +6,7 @@ import numpy as np
 
 from sim_backend.optics.solids import Combination, HalfSpace, Quadric, intersection
 
-Triple = Sequence[float]
+Triple = Sequence[float] | np.ndarray
 
 
 def half_space(point: Triple, outward_normal: Triple) -> HalfSpace:
