@@ -26,8 +26,8 @@ PEAK_SIGMA = 6.0
 LEAST_PEAK_COUNTS = 2.0
 # Sharp profiles are seen in one or two photos; a broad footprint spreads them over some more.
 NEIGHBOURS_BEYOND_PROFILE = 3
-# A curve whose misfit is a tenth of its height is not that of one stripe.
-LARGEST_MISFIT = 0.1
+# A curve whose misfit is a quarter of its height is not that of one stripe.
+LARGEST_MISFIT = 0.25
 NOISE_SAMPLE_PIXELS = 20000
 
 
@@ -154,7 +154,7 @@ def _by_parabola(
         place_px=place.reshape(black.shape),
         sd_px=np.full(black.shape, np.nan, dtype=np.float32),
         status=status,
-        noise=NoiseModel(dark, 0.0),
+        noise=NoiseModel(dark),
         misfit=float("nan"),
         photos=photos,
         curves=sample_curves(windows, black, photos, pattern=pattern, place=place),
@@ -174,7 +174,7 @@ def _by_likelihood(
     pixels = np.flatnonzero(status == PixelStatus.OK)
     brightest_px = pattern.first_px + pattern.step_px * windows.peak_index[pixels].astype(np.float64)
     place = _centroid(windows, pixels, pattern, black=black)
-    noise = NoiseModel(dark, 0.0)
+    noise = NoiseModel(dark)
     fit = None
     footprint = np.zeros((len(pixels), 2))
     # The footprint comes from the map's gradient and the map from the fit: twice round is enough.

@@ -4,6 +4,7 @@ import itertools
 from dataclasses import dataclass
 
 import numpy as np
+from scipy.optimize import nnls
 
 # Rounding to whole counts alone has this variance.
 ROUNDING_VARIANCE = 1 / 12
@@ -15,14 +16,20 @@ FEWEST_IN_BIN = 200
 
 @dataclass(frozen=True, slots=True, eq=False)
 class NoiseModel:
-    """Variance of one count: ``read_variance + gain * (count above black)``, in counts squared."""
+    """The photon transfer curve of the photos: variance of one count whose expected height above black is s.
+
+    ``read_variance + gain * s + (relative * s)²``, in counts squared: read noise and rounding, shot noise, and what grows
+    with the signal itself (pixels and display places that are not alike, a model that is not quite the curve).
+    """
 
     read_variance: float
-    gain: float
+    gain: float = 0.0
+    relative: float = 0.0
 
     def variance(self, signal: np.ndarray) -> np.ndarray:
         """Return the variance of samples whose expected height above black is ``signal``."""
-        return self.read_variance + self.gain * np.maximum(signal, 0.0)
+        height = np.maximum(signal, 0.0)
+        return self.read_variance + self.gain * height + (self.relative * height) ** 2
 
 
 def dark_variance(first: np.ndarray, second: np.ndarray) -> float:
@@ -46,19 +53,21 @@ def noise_from_residuals(
 
     ``signal`` is the model's height above black and ``residual`` the sample minus the model, in counts; ``freedom_share`` is
     degrees of freedom over samples. Variances are taken bin by bin from medians, so that pixels that do not follow the
-    model weigh little, and a line is laid through them.
+    model weigh little, and the two terms that grow with the signal are laid through them, neither below zero.
     """
-    edges = np.quantile(signal, np.linspace(0.0, 1.0, SIGNAL_BINS + 1))
+    brightest = float(np.quantile(signal, 0.999))
+    edges = np.geomspace(max(np.sqrt(read_variance), brightest * 1e-3), brightest, SIGNAL_BINS + 1)
     places, variances = [], []
     for low, high in itertools.pairwise(edges):
         inside = (signal >= low) & (signal <= high)
         if np.count_nonzero(inside) >= FEWEST_IN_BIN:
             places.append(float(signal[inside].mean()))
             variances.append(float(np.median(residual[inside] ** 2)) / CHI_SQUARE_MEDIAN / freedom_share)
-    if len(places) < 2:
-        return NoiseModel(read_variance, 0.0)
-    excess = np.array(variances) - read_variance
-    # Relative errors of the binned variances are alike, so each weighs by one over its square.
-    weight = 1 / np.maximum(np.array(variances), ROUNDING_VARIANCE) ** 2
-    gain = float((weight * np.array(places) * excess).sum() / (weight * np.array(places) ** 2).sum())
-    return NoiseModel(read_variance, max(gain, 0.0))
+    if len(places) < 3:
+        return NoiseModel(read_variance)
+    place, variance = np.array(places), np.array(variances)
+    # Relative errors of the binned variances are alike, so each weighs by one over itself.
+    weight = 1 / np.maximum(variance, ROUNDING_VARIANCE)
+    terms = np.stack([place, place**2], axis=1) * weight[:, None]
+    (gain, relative_squared), _ = nnls(terms, np.maximum(variance - read_variance, 0.0) * weight)
+    return NoiseModel(read_variance, float(gain), float(np.sqrt(relative_squared)))

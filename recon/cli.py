@@ -1,0 +1,135 @@
+"""The ``recon`` command: each subcommand parses, calls one function and prints one result."""
+
+import math
+import sys
+from pathlib import Path
+from typing import Annotated
+
+import typer
+from rich.console import Console
+
+from recon.correspondence import Method
+from recon.errors import ReconError
+from recon.importer import import_folder, read_layout
+from recon.metrics import Metrics
+from recon.progress import progress_bar
+from recon.reconstruct import Limits
+from recon.run import Settings, run_session
+from recon.session import open_session
+from recon.wholeness import faults
+
+app = typer.Typer(
+    help="Turn saved sessions of a transparent object into points, normals and a mesh.",
+    no_args_is_help=True,
+    pretty_exceptions_enable=False,
+    rich_markup_mode=None,
+)
+
+SessionFolder = Annotated[Path, typer.Argument(metavar="SESSION", help="Folder of a session.")]
+
+
+DEFAULT = Limits()
+
+
+@app.command()
+def run(
+    session: SessionFolder,
+    out: Annotated[Path | None, typer.Option(help="Folder for the results. [default: SESSION/recon-METHOD]")] = None,
+    method: Annotated[
+        Method, typer.Option(help="paper: as published; full: maximum likelihood, with uncertainties.")
+    ] = "full",
+    smallest_angle_deg: Annotated[
+        float, typer.Option(min=0.0, help="Method paper: smallest angle between the two light paths, degrees.")
+    ] = 1.0,
+    largest_gap_share: Annotated[
+        float,
+        typer.Option(
+            min=0.0, help="Method paper: largest gap between the paths, as a share of the displays' distance."
+        ),
+    ] = DEFAULT.largest_gap_share,
+    gap_sigma: Annotated[
+        float, typer.Option(min=0.0, help="Method full: largest gap in standard deviations.")
+    ] = DEFAULT.gap_sigma,
+    angle_sigma: Annotated[
+        float, typer.Option(min=0.0, help="Method full: smallest angle in standard deviations.")
+    ] = DEFAULT.angle_sigma,
+    threads: Annotated[int, typer.Option(min=0, help="Threads for decoding; 0 takes every core.")] = 0,
+) -> None:
+    """Reconstruct one session: maps, cloud, mesh, numbers and a report."""
+    limits = Limits(
+        smallest_angle_rad=math.radians(smallest_angle_deg),
+        largest_gap_share=largest_gap_share,
+        gap_sigma=gap_sigma,
+        angle_sigma=angle_sigma,
+    )
+    out = out or session / f"recon-{method}"
+    metrics = run_session(session, out, Settings(method=method, limits=limits, threads=threads))
+    print_result(metrics, out)
+
+
+def print_result(metrics: Metrics, out: Path) -> None:
+    """Print the verdict, the funnel and where the files are."""
+    funnel = metrics.funnel
+    print(f"{metrics.verdict.grade.upper()}: {' '.join(metrics.verdict.reasons)}")
+    print(f"  next: {metrics.verdict.next_action}")
+    print(
+        f"  {funnel.pixels} pixels, {funnel.lit} lit, {funnel.matched} matched in all sets, "
+        f"{funnel.entry_points} entry points, {funnel.normals} normals"
+    )
+    unit = metrics.length_unit
+    for one in metrics.statistics:
+        shown = one.unit if one.unit != "mm" else unit
+        print(f"  {one.name}: median {one.median:.4g}, rms {one.rms:.4g}, 95 % below {one.p95:.4g} {shown}")
+    for warning in metrics.warnings:
+        print(f"  note: {warning}")
+    print(f"  report: {out / 'report.html'}")
+
+
+@app.command("import")
+def import_(
+    folder: Annotated[Path, typer.Argument(metavar="FOLDER", help="Folder of photos.")],
+    session: Annotated[Path, typer.Argument(metavar="SESSION", help="Folder to make; absent or empty.")],
+    layout: Annotated[Path, typer.Option(help="TOML file that describes geometry, pattern and file names.")],
+) -> None:
+    """Make a session from a folder of photos that someone else took; no photo is re-encoded."""
+    described = read_layout(layout)
+    total = sum(sweep.pattern.count for one in described.manifest.sets for sweep in one.sweeps)
+    with progress_bar("importing photos", total) as step:
+        count = import_folder(folder, session, described, on_photo=lambda _done, _total: step())
+    print(f"{session}: {count} photos in 4 sets. Next: recon run {session}")
+
+
+@app.command()
+def validate(session: SessionFolder) -> None:
+    """Name every fault of a session with its file and reason; exit 1 if there is one."""
+    opened = open_session(session)
+    found = list(faults(opened))
+    for fault in found:
+        print(f"{'warning' if fault.is_warning else 'fault'}: {fault}")
+    errors = sum(not fault.is_warning for fault in found)
+    warnings = len(found) - errors
+    if errors:
+        print(f"{session}: {errors} faults and {warnings} warnings in {len(opened.photos)} photos")
+        raise typer.Exit(1)
+    print(f"{session}: sound; {len(opened.photos)} photos, {warnings} warnings")
+
+
+def main() -> None:
+    """Run the command; whatever goes wrong reaches the person as one sentence."""
+    try:
+        app()
+    except ReconError as error:
+        Console(stderr=True, highlight=False, markup=False, soft_wrap=True).print(f"recon: {error}")
+        sys.exit(1)
+    except KeyboardInterrupt:
+        print("recon: stopped; nothing of the session was changed", file=sys.stderr)
+        sys.exit(130)
+    except MemoryError:
+        print(
+            "recon: not enough memory for photos of this size; close other programs or use --threads 1", file=sys.stderr
+        )
+        sys.exit(1)
+    except OSError as error:
+        name = error.filename or "disk"
+        print(f"recon: {name}: {error.strerror}; check the path, its permissions and the free space", file=sys.stderr)
+        sys.exit(1)

@@ -1,0 +1,78 @@
+"""The surface of a session: which integration each method uses, and what it needs to know of the camera."""
+
+from dataclasses import dataclass
+
+import numpy as np
+from jaxtyping import Float64
+
+from recon.correspondence import Method
+from recon.manifest import CameraBody, Manifest
+from recon.maps import Maps
+from recon.reconstruct import Crossing
+from recon.sight import sight_rays
+from recon.status import PixelStatus
+from recon.surface.fusion import fuse_on_rays
+from recon.surface.integration import integrate_perspective
+from recon.surface.mesh import Mesh, mesh_from_point_map
+
+NO_CAMERA = (
+    "The camera's place or intrinsics are not in the manifest, so normals could not be integrated on its rays; "
+    "the mesh joins the points themselves."
+)
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Surface:
+    """The maps as the surface leaves them, the mesh, and what the reader should know."""
+
+    maps: Maps
+    mesh: Mesh | None
+    warnings: tuple[str, ...] = ()
+
+
+def surface_of(maps: Maps, crossing: Crossing, manifest: Manifest, *, method: Method) -> Surface:
+    """Make the mesh: normals integrated on the camera's rays (paper), or positions and normals together (full)."""
+    if not maps.valid().any():
+        return Surface(maps, None, ("No point was found, so there is no mesh.",))
+    if method == "full":
+        return fused_surface(maps, crossing)
+    return integrated_surface(maps, manifest.camera)
+
+
+def integrated_surface(maps: Maps, camera: CameraBody) -> Surface:
+    """Integrate the normals on the camera grid and mesh the result; the maps keep their own points."""
+    valid = maps.valid()
+    rays = sight_rays(camera)
+    if rays is None:
+        return Surface(maps, mesh_from_point_map(maps.point_mm, maps.normal, valid), (NO_CAMERA,))
+    centre, direction = rays
+    depth = ((maps.point_mm - centre) * direction).sum(axis=2)
+    surface = integrate_perspective(maps.normal, valid, centre_mm=centre, direction=direction, anchor_depth_mm=depth)
+    return Surface(maps, mesh_from_point_map(surface.point_mm, maps.normal, valid))
+
+
+def fused_surface(maps: Maps, crossing: Crossing) -> Surface:
+    """Fuse positions and normals on the paths in air; pixels with parallel paths get their point from their neighbours."""
+    shape = maps.status.shape
+    surface_pixel = np.isin(crossing.status, (PixelStatus.OK, PixelStatus.PARALLEL_PATHS))
+    has_point = crossing.status == PixelStatus.OK
+    air, points = crossing.air, crossing.points
+    along_sd = np.sqrt(np.einsum("pi,pij,pj->p", air.direction, points.covariance, air.direction))
+
+    def on_grid(values: np.ndarray, where: np.ndarray) -> Float64[np.ndarray, "..."]:
+        grid = np.full((maps.status.size, *values.shape[1:]), np.nan)
+        grid[crossing.pixels[where]] = values[where]
+        return grid.reshape(*shape, *values.shape[1:])
+
+    normal = on_grid(crossing.normal, surface_pixel)
+    fused = fuse_on_rays(
+        on_grid(air.near_mm, surface_pixel),
+        on_grid(air.direction, surface_pixel),
+        on_grid(points.distance_air_mm, has_point),
+        on_grid(along_sd, has_point),
+        normal,
+        on_grid(crossing.normal_sd_rad, surface_pixel),
+        np.isfinite(normal).all(axis=2),
+    )
+    covered = np.isfinite(fused.point_mm).all(axis=2)
+    return Surface(maps, mesh_from_point_map(fused.point_mm, normal, covered))
