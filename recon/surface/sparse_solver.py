@@ -1,0 +1,72 @@
+"""Solve a large sparse symmetric positive definite system: conjugate gradients with algebraic multigrid."""
+
+from collections.abc import Callable
+
+import numpy as np
+import pyamg
+from jaxtyping import Float64
+from scipy.sparse import csr_array, csr_matrix, diags_array
+from scipy.sparse.linalg import LinearOperator, cg, splu
+
+from recon.errors import ReconError
+
+RELATIVE_TOLERANCE = 1e-8
+MOST_ITERATIONS = 500
+# So few equations are quicker to factorise than to prepare a multigrid for.
+DIRECT_UNKNOWNS = 3000
+
+Vector = Float64[np.ndarray, " unknowns"]
+
+
+class SolverError(ReconError):
+    """The system of equations of a surface could not be solved."""
+
+
+def solver(matrix: csr_array) -> Callable[[Vector, Vector], Vector]:
+    """Prepare to solve ``matrix @ x = right``; the function returned takes the right side and a first guess.
+
+    The matrix is scaled to a unit diagonal, then Ruge–Stüben multigrid preconditions conjugate gradients until the
+    residual is ``RELATIVE_TOLERANCE`` of the right side. Small systems are factorised.
+    """
+    if matrix.shape[0] <= DIRECT_UNKNOWNS:
+        return _direct(matrix)
+    scale = 1 / np.sqrt(matrix.diagonal())
+    scaled = (diags_array(scale) @ matrix @ diags_array(scale)).tocsr()
+    precondition = _multigrid(scaled)
+
+    def solve(right: Vector, guess: Vector) -> Vector:
+        scaled_right = scale * right
+        if not scaled_right.any():
+            return np.zeros_like(right)
+        solution, code = cg(
+            scaled,
+            scaled_right,
+            x0=guess / scale,
+            rtol=RELATIVE_TOLERANCE,
+            maxiter=MOST_ITERATIONS,
+            M=precondition,
+        )
+        if code != 0 or not np.isfinite(solution).all():
+            raise SolverError(
+                f"the surface's {len(right)} equations did not converge in {MOST_ITERATIONS} steps; "
+                "check the normals and their standard deviations, or use a tighter mask"
+            )
+        return solution * scale
+
+    return solve
+
+
+def _direct(matrix: csr_array) -> Callable[[Vector, Vector], Vector]:
+    try:
+        factors = splu(matrix.tocsc())
+    except RuntimeError as error:
+        raise SolverError(f"the surface's {matrix.shape[0]} equations are singular; use a tighter mask") from error
+    return lambda right, _guess: factors.solve(right)
+
+
+def _multigrid(matrix: csr_array) -> LinearOperator:
+    # pyamg knows only the older matrix class with 32-bit indices.
+    older = csr_matrix(
+        (matrix.data, matrix.indices.astype(np.int32), matrix.indptr.astype(np.int32)), shape=matrix.shape
+    )
+    return pyamg.ruge_stuben_solver(older, max_coarse=200).aspreconditioner(cycle="V")

@@ -1,0 +1,49 @@
+"""The multigrid solver against systems whose solution is known."""
+
+import numpy as np
+import pytest
+from scipy.sparse import csr_array
+
+from recon.surface import sparse_solver
+from recon.surface.neighbours import neighbours_of, normal_equations
+from recon.surface.sparse_solver import SolverError, solver
+
+
+def system(size: int) -> tuple[csr_array, np.ndarray, np.ndarray]:
+    """A Poisson-like system with couplings over three decades, and its solution."""
+    rng = np.random.default_rng(1)
+    graph = neighbours_of(np.hypot(*np.mgrid[-1 : 1 : size * 1j, -1 : 1 : size * 1j]) < 1)
+    pairs = len(graph.first)
+    matrix = normal_equations(
+        graph, -np.ones(pairs), np.ones(pairs), 10 ** rng.uniform(-3, 0, pairs), np.full(graph.pixels, 1e-3)
+    )
+    solution = rng.standard_normal(graph.pixels)
+    return matrix, matrix @ solution, solution
+
+
+def test_multigrid_finds_the_solution() -> None:
+    matrix, right, solution = system(100)
+    assert len(right) > sparse_solver.DIRECT_UNKNOWNS
+    assert np.abs(solver(matrix)(right, np.zeros_like(right)) - solution).max() < 1e-4
+
+
+def test_small_system_is_solved_to_rounding() -> None:
+    matrix, right, solution = system(20)
+    assert np.abs(solver(matrix)(right, np.zeros_like(right)) - solution).max() < 1e-10
+
+
+def test_right_side_of_zeros_gives_zeros() -> None:
+    matrix, right, _ = system(100)
+    assert not solver(matrix)(np.zeros_like(right), np.ones_like(right)).any()
+
+
+def test_no_convergence_is_one_sentence(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(sparse_solver, "MOST_ITERATIONS", 1)
+    matrix, right, _ = system(100)
+    with pytest.raises(SolverError, match="did not converge"):
+        solver(matrix)(right, np.zeros_like(right))
+
+
+def test_singular_system_is_one_sentence() -> None:
+    with pytest.raises(SolverError, match="singular"):
+        solver(csr_array(np.array([[1.0, -1.0], [-1.0, 1.0]])))
