@@ -14,8 +14,8 @@ CURVES_SHOWN = 24
 # Samples on either side of the peak in the close view: a stripe is a few steps wide.
 CLOSE_STEPS = 10
 WIDTH, CLOSE_HEIGHT, WHOLE_HEIGHT = 320, 150, 34
-LEFT, RIGHT, BOTTOM = 40, 8, 24
-STRIP_WIDTH, STRIP_HEIGHT, SHARE_HEIGHT = 460, 64, 26
+LEFT, RIGHT, BOTTOM = 44, 8, 24
+STRIP_WIDTH, STRIP_HEIGHT, STRIP_GAP, SHARE_HEIGHT = 460, 64, 14, 26
 
 
 def curve_chart(curve: SampleCurve) -> dict[str, object]:
@@ -25,7 +25,7 @@ def curve_chart(curve: SampleCurve) -> dict[str, object]:
     centre = curve.peak_px if np.isfinite(curve.peak_px) else float(place[int(np.nanargmax(curve.intensity))])
     low = max(float(place[0]), centre - CLOSE_STEPS * step)
     high = min(float(place[-1]), centre + CLOSE_STEPS * step)
-    top = round_up(max(*curve.intensity, *curve.model, 1e-9) / 10) * 10
+    top = 1.06 * max(*curve.intensity, *curve.model, 1e-9)
     bottom = min(0.0, *curve.intensity)
     whole_x = Scale(float(place[0]), float(place[-1]), LEFT, WIDTH - RIGHT)
     whole_y = Scale(bottom, top, WHOLE_HEIGHT, 2)
@@ -77,12 +77,17 @@ def curves_panel(curves: Sequence[SampleCurve]) -> Panel:
     )
 
 
+def level(value: float) -> str:
+    """Write a brightness: whole counts stay whole."""
+    return number(int(value)) if float(value).is_integer() else number(value)
+
+
 def photo_strip(photos: Sequence[PhotoQuality], *, top: float, share_top: float) -> dict[str, object]:
     """Return the drawing of one sweep: the brightest value a photo, and below it the saturated share."""
     ordered = sorted(photos, key=lambda photo: photo.index)
     x = Scale(ordered[0].index, max(ordered[-1].index, ordered[0].index + 1), LEFT, STRIP_WIDTH - RIGHT)
     y = Scale(0, top, STRIP_HEIGHT, 6)
-    share_y = Scale(0, share_top, STRIP_HEIGHT + 6 + SHARE_HEIGHT, STRIP_HEIGHT + 6)
+    share_y = Scale(0, share_top, STRIP_HEIGHT + STRIP_GAP + SHARE_HEIGHT, STRIP_HEIGHT + STRIP_GAP)
     shares = [100 * photo.saturated_share for photo in ordered]
     brightest = [photo.brightest for photo in ordered]
     return {
@@ -93,10 +98,10 @@ def photo_strip(photos: Sequence[PhotoQuality], *, top: float, share_top: float)
         "share": area_path(x, share_y, [(photo.index, value) for photo, value in zip(ordered, shares, strict=True)]),
         "x_ticks": x.ticks(5),
         "y_ticks": y.ticks(2),
-        "brightest_median": number(float(np.median(brightest))),
-        "darkest": number(float(min(brightest))),
+        "brightest_median": level(float(np.median(brightest))),
+        "darkest": level(min(brightest)),
         "worst_share": number(float(max(shares))),
-        "share_top": number(float(share_top)),
+        "share_top": number(float(share_top), 1),
     }
 
 
@@ -108,7 +113,7 @@ def photos_panel(photos: Sequence[PhotoQuality]) -> Panel:
         (
             photo.set,
             photo.sweep,
-            number(float(photo.brightest)),
+            level(photo.brightest),
             f"{number(100 * photo.saturated_share)} %",
         )
         for group in groups
@@ -116,7 +121,7 @@ def photos_panel(photos: Sequence[PhotoQuality]) -> Panel:
         for photo in group
     )
     # One scale for all, so that a dim set is seen to be dim.
-    top = round_up(max((photo.brightest for photo in photos), default=1.0) / 10) * 10
+    top = 1.06 * max((photo.brightest for photo in photos), default=1.0)
     share_top = round_up(max(0.1, *(100 * photo.saturated_share for photo in photos))) if photos else 1.0
     return Panel(
         "photos",
@@ -125,7 +130,7 @@ def photos_panel(photos: Sequence[PhotoQuality]) -> Panel:
         {
             "strips": [photo_strip(group, top=top, share_top=share_top) for group in sweeps],
             "singles": Table(("Set", "Photo", "Brightest", "Saturated"), singles, (2, 3)),
-            "size": (STRIP_WIDTH, STRIP_HEIGHT, SHARE_HEIGHT, LEFT, RIGHT),
+            "size": (STRIP_WIDTH, STRIP_HEIGHT, STRIP_GAP, SHARE_HEIGHT, LEFT, RIGHT),
             "count": len(photos),
         },
         "Upper line: the brightest value in each photo of a sweep. Lower area: the share of saturated pixels, in per cent of the "

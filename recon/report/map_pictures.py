@@ -12,14 +12,16 @@ from matplotlib.axes import Axes
 from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.colors import BoundaryNorm, ListedColormap, LogNorm, Normalize
 from matplotlib.figure import Figure
+from matplotlib.ticker import FuncFormatter, LogLocator, NullFormatter
 
+from recon.report.numbers import number
 from recon.status import PixelStatus
 
 # Ink and ground of the two themes of style.css.
 THEMES = {"light": ("#24292f", "#e8eaed"), "dark": ("#d5dae0", "#2b313a")}
 FIGURE_WIDTH_IN, DOTS_PER_IN = 4.8, 190
 # Room round the map for tick labels, axis labels and the colour bar.
-LEFT_IN, RIGHT_IN, KEY_IN, BOTTOM_IN, TOP_IN, BAR_IN = 0.58, 0.12, 0.95, 0.45, 0.1, 0.16
+LEFT_IN, RIGHT_IN, KEY_IN, BOTTOM_IN, TOP_IN, BAR_IN = 0.58, 0.12, 1.02, 0.45, 0.1, 0.16
 SMALLEST_HEIGHT_IN, LARGEST_HEIGHT_IN = 1.2, 4.6
 # A limit set by one outlier in a hundred says nothing about the surface.
 LIMIT_PERCENTILES = (1.0, 99.0)
@@ -120,6 +122,10 @@ def scalar_picture(
         image = axes.imshow(shown, extent=window.extent, cmap=colours, norm=norm, interpolation="nearest")
         bar = key.figure.colorbar(image, cax=key, extend="both", extendfrac=0.03)
         bar.set_label(label)
+        if logarithmic:
+            bar.ax.yaxis.set_major_locator(LogLocator(subs=(1.0, 2.0, 5.0)))
+            bar.ax.yaxis.set_major_formatter(FuncFormatter(lambda value, _: number(float(value), 1)))
+            bar.ax.yaxis.set_minor_formatter(NullFormatter())
         bar.outline.set_visible(False)
 
     return _both_themes(draw, window, alt, with_key=True)

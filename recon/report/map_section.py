@@ -1,12 +1,14 @@
 """The maps on the camera grid: depth, normal, angle between the paths, gap, sd and status."""
 
+from collections.abc import Mapping
 from dataclasses import dataclass
 
 import numpy as np
-from jaxtyping import Float, UInt8
+from jaxtyping import Float, Float64, UInt8
 
 from recon.manifest import Manifest
 from recon.maps import Maps
+from recon.report.charts import Scale, area_path
 from recon.report.display_frame import frame_from_world, rotate, transform_points
 from recon.report.map_pictures import (
     STATUS_COLOURS,
@@ -19,6 +21,8 @@ from recon.report.map_pictures import (
 from recon.report.numbers import LengthUnit, number, share
 from recon.report.panel import Panel, Section
 from recon.status import REASONS, PixelStatus
+
+HISTOGRAM_SIZE, HISTOGRAM_BINS = (440, 104), 60
 
 
 @dataclass(frozen=True, slots=True)
@@ -99,6 +103,7 @@ def map_section(maps: Maps, manifest: Manifest, *, unit: LengthUnit, longest_px:
     signed = bool((maps.gap_mm[np.isfinite(maps.gap_mm)] < 0).any())
     panels = [_scalar_panel(each, values[each.id], longest_px) for each in scalar_maps(unit, with_gap_sign=signed)]
     panels.insert(1, _normal_panel(rotate(frame, maps.normal), longest_px))
+    panels.append(distributions_panel(values, unit))
     panels.append(_status_panel(maps.status, longest_px))
     return Section(
         "maps",
@@ -107,6 +112,45 @@ def map_section(maps: Maps, manifest: Manifest, *, unit: LengthUnit, longest_px:
         "Each map has one value a camera pixel and is cut to the pixels that have one; axes are pixels of the photo. "
         "The colours span the 1st to the 99th percentile, so that a few outliers do not hide the rest.",
     )
+
+
+def distributions_panel(values: Mapping[str, Float[np.ndarray, "rows cols"]], unit: LengthUnit) -> Panel:
+    """Return histograms of angle, gap and sd."""
+    named = (("angle", "angle", "°"), ("gap", "gap", unit.label), ("sd", "standard deviation", unit.label))
+    shown = [
+        histogram_chart(finite, name=title, unit=unit_text)
+        for name, title, unit_text in named
+        if (finite := values[name][np.isfinite(values[name])].astype(np.float64)).size
+    ]
+    return Panel(
+        "distributions",
+        "How the values spread",
+        "histograms.html.j2",
+        {"charts": shown, "size": HISTOGRAM_SIZE},
+        "Pixels over value, from the 1st to the 99th percentile; full line: median, dashed line: 95th percentile.",
+        "One hump each; the gap's is narrow and stands on zero.",
+        "Two humps (two surfaces, or sets that do not belong together), or a gap that does not stand on zero.",
+        missing="" if shown else "No pixel has a value.",
+        wide=False,
+    )
+
+
+def histogram_chart(values: Float64[np.ndarray, " values"], *, name: str, unit: str) -> dict[str, object]:
+    """Return the drawing of one histogram."""
+    low, middle, late, high = (float(v) for v in np.percentile(values, (1, 50, 95, 99)))
+    high = high if high > low else low + max(abs(low), 1e-6)
+    counts, edges = np.histogram(values, bins=HISTOGRAM_BINS, range=(low, high))
+    width, height = HISTOGRAM_SIZE
+    x, y = Scale(low, high, 8, width - 8), Scale(0, float(counts.max() or 1), height - 20, 4)
+    steps = [(edge, count) for k, count in enumerate(counts) for edge in (float(edges[k]), float(edges[k + 1]))]
+    return {
+        "name": f"{name} ({unit})",
+        "area": area_path(x, y, [(edge, float(count)) for edge, count in steps]),
+        "middle": x.place(middle),
+        "late": x.place(late),
+        "text": f"median {number(middle)}, 95th percentile {number(late)}",
+        "ticks": x.ticks(5),
+    }
 
 
 def _scalar_panel(settings: ScalarMap, values: Float[np.ndarray, "rows cols"], longest_px: int) -> Panel:

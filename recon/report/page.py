@@ -6,7 +6,7 @@ from functools import cache
 from importlib import resources
 
 from jinja2 import Environment, PackageLoader, StrictUndefined
-from markupsafe import Markup
+from markupsafe import Markup, escape
 
 from recon.metrics import Verdict
 from recon.report import numbers
@@ -25,9 +25,21 @@ def environment() -> Environment:
         trim_blocks=True,
         lstrip_blocks=True,
     )
-    made.filters.update(number=numbers.number, duration=numbers.duration, memory=numbers.memory, data_uri=data_uri)
+    made.filters.update(
+        number=numbers.number, duration=numbers.duration, memory=numbers.memory, data_uri=data_uri, prose=prose
+    )
     made.globals["share"] = numbers.share
     return made
+
+
+def prose(text: str) -> Markup:
+    """Return a sentence for the page, escaped, with `commands` between backticks set as code."""
+    parts = text.split("`")
+    if len(parts) % 2 == 0:
+        return escape(text)
+    return Markup("").join(
+        Markup("<code>{}</code>").format(part) if place % 2 else escape(part) for place, part in enumerate(parts)
+    )
 
 
 def data_uri(picture_png: bytes) -> str:

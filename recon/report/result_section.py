@@ -34,8 +34,9 @@ def funnel_panel(funnel: Funnel) -> Panel:
         "From pixels to normals",
         "funnel.html.j2",
         {"steps": steps, "total": counts[0]},
-        "How many pixels are left after each step; the bars share one scale.",
-        "After “Lit”, almost nothing is lost: the paper kept 94.5 to 97.7 % of its correspondences as points.",
+        "How many pixels are left after each step; the bars share one scale. Pixels that look past the object at the liquid’s "
+        "surface drop out at “First entry points”.",
+        "Of the object’s pixels almost none is lost after “Lit”: the paper kept 94.5 to 97.7 % of its correspondences as points.",
         "A large loss at “Matched” (light missing in one set: liquid level, exposure) or at “First entry points” "
         "(poses, or an object that moved).",
     )

@@ -22,7 +22,8 @@ def device_banners(manifest: Manifest) -> tuple[Banner, ...]:
     unknown = [name for name, device in devices.items() if device.kind == "unknown"]
     if pretended:
         every = len(pretended) == len(devices)
-        names = ", ".join(f"{name} {kind}" for name, kind in pretended.items())
+        kinds = sorted(set(pretended.values()))
+        names = "; ".join(f"{kind}: {', '.join(n for n, k in pretended.items() if k == kind)}" for kind in kinds)
         return (
             Banner(
                 "Simulated session." if every else "Partly simulated session.",
@@ -152,7 +153,6 @@ def warnings_section(metrics: Metrics) -> Section:
                 "",
                 "warnings.html.j2",
                 {"warnings": metrics.warnings},
-                missing="" if metrics.warnings else "The run gave no warning.",
             ),
         ),
     )

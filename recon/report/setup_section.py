@@ -11,6 +11,7 @@ from recon.report.numbers import LengthUnit, number
 from recon.report.panel import Panel, Section, Table
 
 DRAWING_WIDTH = 720
+AXIS_HEIGHT = 46
 DOTS = 1500
 # A camera farther off than this many times the rest of the scene is drawn as an arrow with its distance.
 FAR_CAMERA = 1.5
@@ -134,7 +135,7 @@ def drawing_panel(manifest: Manifest, maps: Maps, unit: LengthUnit) -> Panel:
         "The arrangement, to scale",
         "drawing.html.j2",
         side_view(screens, cloud, camera, unit),
-        "Seen from the display's right-hand side: up is up, the camera looks from the right.",
+        "Seen from the display's left-hand side: up is up, and the camera looks from the right.",
         "The points lie between display and camera, and the display reaches well beyond them.",
         "Points on or behind a display position, or a display that does not stand where you remember it.",
     )
@@ -156,10 +157,10 @@ def side_view(
     room = 0.06 * max(high[2] - low[2], high[1] - low[1]) + 1e-9
     across_mm, up_mm = high[2] - low[2] + 4 * room, high[1] - low[1] + 2 * room
     scale = min((DRAWING_WIDTH - 20) / across_mm, 300 / up_mm)
-    height = round(scale * up_mm) + 34
+    height = round(scale * up_mm) + AXIS_HEIGHT
     left = (DRAWING_WIDTH - scale * across_mm) / 2
     x = Scale(low[2] - 2 * room, high[2] + 2 * room, left, DRAWING_WIDTH - left)
-    y = Scale(low[1] - room, high[1] + room, height - 34, 0)
+    y = Scale(low[1] - room, high[1] + room, height - AXIS_HEIGHT, 0)
     return {
         "size": (DRAWING_WIDTH, height),
         "screens": [line_path(x, y, [(c[2], c[1]) for c in (*corners, corners[0])]) for corners in screens],

@@ -1,6 +1,7 @@
 """Write ``report.html`` for one reconstruction."""
 
 from collections.abc import Mapping, Sequence
+from datetime import datetime
 from pathlib import Path
 
 import numpy as np
@@ -102,13 +103,24 @@ def report_page(
     return render_page(
         metrics.session,
         kind="Reconstruction report",
-        subtitle=f"{manifest.object.name} · captured {manifest.created} · method “{metrics.method}”",
+        subtitle=subtitle(metrics, manifest),
         sections=sections,
         banners=(*device_banners(manifest), *unit_banners(unit)),
         verdict=metrics.verdict,
         tiles=tiles(maps, metrics, unit),
         scripts=("page.js", "viewer.js"),
     )
+
+
+def subtitle(metrics: Metrics, manifest: Manifest) -> str:
+    """Return object, date and method in one line."""
+    try:
+        created = datetime.fromisoformat(manifest.created)
+        date = f"{created.day} {created:%B %Y, %H:%M %Z}".strip()
+    except ValueError:
+        date = manifest.created or "at an unknown time"
+    named = [manifest.object.name] if manifest.object.name != metrics.session else []
+    return " · ".join([*named, f"captured {date}", f"reconstructed by the method “{metrics.method}”"])
 
 
 def unit_banners(unit: LengthUnit) -> tuple[Banner, ...]:
@@ -124,6 +136,8 @@ def tiles(maps: Maps, metrics: Metrics, unit: LengthUnit) -> tuple[tuple[str, st
     funnel = metrics.funnel
     sd = maps.sd_mm[np.isfinite(maps.sd_mm)]
     gap = maps.gap_mm[maps.valid() & np.isfinite(maps.gap_mm)]
+    count = len(metrics.warnings)
+    warnings = "no warnings" if not count else f"{number(count)} warning{'s' if count > 1 else ''}"
     found = [
         ("Points with normals", number(funnel.normals), f"{share(funnel.normals, funnel.lit)} of the lit pixels"),
         (
@@ -136,6 +150,6 @@ def tiles(maps: Maps, metrics: Metrics, unit: LengthUnit) -> tuple[tuple[str, st
             f"{number(float(np.median(np.abs(gap))))} {unit.label}" if gap.size else "—",
             "median of its size",
         ),
-        ("Time", duration(sum(stage.wall_s for stage in metrics.stages)), f"{number(len(metrics.warnings))} warnings"),
+        ("Time", duration(sum(stage.wall_s for stage in metrics.stages)), warnings),
     ]
     return tuple(found)

@@ -4,7 +4,7 @@
   const viewer = document.getElementById("viewer");
   if (!viewer) return;
   const canvas = viewer.querySelector("canvas");
-  const gl = canvas.getContext("webgl2", { antialias: true, alpha: true, preserveDrawingBuffer: true });
+  const gl = canvas.getContext("webgl2", { antialias: true, alpha: true });
   if (!gl) return;
 
   const scene = JSON.parse(document.getElementById("viewer-scene").textContent);
@@ -119,21 +119,39 @@
   const FIELD = 28 * Math.PI / 180;
   const middle = scene.low.map((value, k) => (value + scene.high[k]) / 2);
   const radius = Math.max(Math.hypot(...minus(scene.high, scene.low)) / 2, 1e-6);
-  const first = () => ({ azimuth: scene.azimuth, elevation: scene.elevation, distance: 1.02 * radius / Math.sin(FIELD / 2), target: [...middle] });
-  let view = first();
+  const tangent = Math.tan(FIELD / 2);
+  const aspect = () => canvas.clientWidth / Math.max(canvas.clientHeight, 1);
+  const directions = (azimuth, elevation) => {
+    const a = azimuth * Math.PI / 180, e = elevation * Math.PI / 180;
+    const back = [Math.sin(a) * Math.cos(e), Math.sin(e), Math.cos(a) * Math.cos(e)];
+    const right = [Math.cos(a), 0, -Math.sin(a)];
+    return { back, right, up: cross(back, right) };
+  };
+  const boxCorners = [0, 1, 2, 3, 4, 5, 6, 7].map((k) => [k & 1, k & 2, k & 4].map((bit, axis) => (bit ? scene.high : scene.low)[axis]));
+  // The view along a direction that just holds the given points.
+  const fitted = (azimuth, elevation, points = boxCorners) => {
+    const { back, right, up } = directions(azimuth, elevation);
+    const across = tangent * Math.max(aspect(), 1), high = tangent / Math.min(aspect(), 1);
+    let distance = 0;
+    for (const corner of points) {
+      const from = minus(corner, middle);
+      distance = Math.max(distance, dot(back, from) + 1.04 * Math.max(Math.abs(dot(right, from)) / across, Math.abs(dot(up, from)) / high));
+    }
+    return { azimuth, elevation, distance, target: [...middle] };
+  };
+  const first = () => fitted(scene.azimuth, scene.elevation);
+  let view = null;
   const show = { what: "points", colour: "depth", screens: false, size: 3 };
 
   const axes = () => {
-    const a = view.azimuth * Math.PI / 180, e = view.elevation * Math.PI / 180;
-    const back = [Math.sin(a) * Math.cos(e), Math.sin(e), Math.cos(a) * Math.cos(e)];
-    const right = [Math.cos(a), 0, -Math.sin(a)];
-    return { back, right, up: cross(back, right), eye: view.target.map((value, k) => value + view.distance * back[k]) };
+    const { back, right, up } = directions(view.azimuth, view.elevation);
+    return { back, right, up, eye: view.target.map((value, k) => value + view.distance * back[k]) };
   };
-  const clipFromWorld = (frame, aspect) => {
-    const f = 1 / Math.tan(FIELD / 2), near = view.distance / 100, far = view.distance * 20 + 20 * radius;
+  const clipFromWorld = (frame) => {
+    const near = view.distance / 100, far = view.distance * 20 + 20 * radius;
     const { right, up, back, eye } = frame;
-    // A tall window keeps the object whole by narrowing the height's share.
-    const fx = f / Math.max(aspect, 1), fy = f * Math.min(aspect, 1);
+    // The field of view belongs to the shorter side of the window.
+    const fx = 1 / (tangent * Math.max(aspect(), 1)), fy = Math.min(aspect(), 1) / tangent;
     const z = (far + near) / (near - far), w = 2 * far * near / (near - far);
     const out = new Float32Array(16);
     for (let k = 0; k < 3; k++) {
@@ -149,13 +167,28 @@
     return out;
   };
 
+  // Points start just large enough to close the surface: some times their mean spacing on the screen.
+  let startDistance = 1;
+  const sizer = viewer.querySelector("[data-size]");
+  const start = () => {
+    view = first();
+    startDistance = view.distance;
+    const { right, up } = directions(view.azimuth, view.elevation);
+    const extent = (axis) => { const at = boxCorners.map((corner) => dot(axis, corner)); return Math.max(...at) - Math.min(...at); };
+    const perUnit = Math.min(canvas.clientWidth, canvas.clientHeight) / (2 * tangent * view.distance);
+    const spacing = perUnit * Math.sqrt(extent(right) * extent(up) / Math.max(things.points.count, 1));
+    show.size = Math.max(1, Math.min(8, Math.round(2 * 2.4 * spacing) / 2));
+    sizer.value = show.size;
+  };
+
   const CODES = { depth: 0, normal: 1, sd: 2, plain: 3 };
   const draw = () => {
     const ratio = Math.min(devicePixelRatio || 1, 2);
     const width = Math.round(canvas.clientWidth * ratio), height = Math.round(canvas.clientHeight * ratio);
     if (!width || !height) return;
+    if (!view) start();
     if (canvas.width !== width || canvas.height !== height) { canvas.width = width; canvas.height = height; }
-    const frame = axes(), matrix = clipFromWorld(frame, width / height);
+    const frame = axes(), matrix = clipFromWorld(frame);
     gl.viewport(0, 0, width, height);
     gl.clearColor(0, 0, 0, 0);
     gl.clear(gl.COLOR_BUFFER_BIT | gl.DEPTH_BUFFER_BIT);
@@ -167,7 +200,7 @@
     gl.uniform3fv(surface.at("high"), scene.high);
     gl.uniform3fv(surface.at("eye"), frame.eye);
     gl.uniform1f(surface.at("pointSize"), show.size * ratio);
-    gl.uniform1f(surface.at("pointScale"), first().distance);
+    gl.uniform1f(surface.at("pointScale"), startDistance);
     gl.uniform1i(surface.at("colourBy"), CODES[show.colour]);
     gl.uniform1i(surface.at("round"), show.what === "points" ? 1 : 0);
     gl.uniform2f(surface.at("depthLimits"), scene.depth.low, scene.depth.high);
@@ -216,7 +249,7 @@
   // A bar of a round length, true at the distance of the middle.
   const bar = viewer.querySelector(".scalebar");
   const scalebar = () => {
-    const across = 2 * view.distance * Math.tan(FIELD / 2) * Math.max(canvas.clientWidth / canvas.clientHeight, 1);
+    const across = 2 * view.distance * tangent * Math.max(aspect(), 1);
     const perUnit = canvas.clientWidth / across, wanted = 110 / perUnit, power = 10 ** Math.floor(Math.log10(wanted));
     const length = [5, 2, 1].map((step) => step * power).find((step) => step <= wanted);
     bar.firstElementChild.style.width = `${(length * perUnit).toFixed(1)}px`;
@@ -244,7 +277,7 @@
   };
   const move = (dx, dy) => {
     const { right, up } = axes();
-    const perPx = 2 * view.distance * Math.tan(FIELD / 2) / Math.min(canvas.clientHeight, canvas.clientWidth);
+    const perPx = 2 * view.distance * tangent / Math.min(canvas.clientHeight, canvas.clientWidth);
     view.target = view.target.map((value, k) => value - perPx * (dx * right[k] - dy * up[k]));
     redraw();
   };
@@ -286,23 +319,24 @@
     if (step) event.shiftKey ? move(24 * step[0], 24 * step[1]) : turn(6 * step[0], 6 * step[1]);
     else if (event.key === "+" || event.key === "=") zoom(0.85);
     else if (event.key === "-") zoom(1 / 0.85);
-    else if (event.key === "0") { view = first(); redraw(); }
+    else if (event.key === "0") { view = fitted(scene.azimuth, scene.elevation, shownCorners()); redraw(); }
     else if (event.key === "Escape") { canvas.blur(); return; }
     else return;
     event.preventDefault();
   });
 
+  const shownCorners = () => show.screens ? [...boxCorners, ...scene.screens.flat()] : boxCorners;
   const press = (name, value) => {
     for (const button of viewer.querySelectorAll(`[data-${name}]`)) button.setAttribute("aria-pressed", String(button.dataset[name] === value));
   };
-  const VIEWS = { display: [180, 0], camera: [0, 0], side: [90, 0], above: [180, 89] };
+  const VIEWS = { first: [scene.azimuth, scene.elevation], display: [180, 0], camera: [0, 0], side: [90, 0], above: [180, 89] };
   viewer.querySelector(".controls").addEventListener("click", (event) => {
     const button = event.target.closest("button");
     if (!button) return;
     const { show: what, colour, view: from } = button.dataset;
     if (what) { show.what = what; press("show", what); }
     if (colour) { show.colour = colour; press("colour", colour); relabel(); }
-    if (from) { const start = first(); view = from === "first" ? start : { ...start, azimuth: VIEWS[from][0], elevation: VIEWS[from][1] }; }
+    if (from) view = fitted(...VIEWS[from], shownCorners());
     if ("save" in button.dataset) {
       draw();
       const link = document.createElement("a");
@@ -314,13 +348,10 @@
   });
   viewer.querySelector("[data-toggle=screens]").addEventListener("change", (event) => {
     show.screens = event.target.checked;
-    if (show.screens) {
-      const reach = Math.max(...scene.screens.flat().map((corner) => Math.hypot(...minus(corner, middle))));
-      view.distance = Math.max(view.distance, 1.02 * reach / Math.sin(FIELD / 2));
-    }
+    view = fitted(view.azimuth, view.elevation, shownCorners());
     redraw();
   });
-  viewer.querySelector("[data-size]").addEventListener("input", (event) => { show.size = Number(event.target.value); redraw(); });
+  sizer.addEventListener("input", (event) => { show.size = Number(event.target.value); redraw(); });
 
   viewer.querySelector("[data-show=mesh]").disabled = !things.mesh;
   viewer.querySelector("[data-colour=sd]").disabled = !scene.sd;
