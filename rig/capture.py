@@ -93,7 +93,7 @@ def capture(
             raise CaptureStopped(
                 f"stopped with {have} of {needed} photos; pump and stage stand still"
                 + (f", the tank holds {sequencer.tank_ml:.0f} ml" if config.tank else "")
-                + "; go on with the same command and --resume"
+                + f"; go on with `rig capture --resume --session {folder}{'' if scene is None else ' --sim'}`"
             ) from None
         writer.journal.append("capture_finished", photos=needed)
         return CaptureResult(sequencer.photos_taken, needed, needed)

@@ -30,6 +30,8 @@ from rig.errors import ConfigError
 
 NotNegative = Annotated[float, Field(ge=0, allow_inf_nan=False)]
 DEFAULT_FILE = Path("rig.toml")
+# A pump may run this much longer than its calibrated rate says before its own time limit ends the flow.
+PUMP_TIME_MARGIN = 1.2
 
 
 class Stripe(Part):
@@ -84,15 +86,6 @@ class Tank(Part):
                 "put more into the reservoir"
             )
         return self
-
-
-# A pump may run this much longer than its calibrated rate says before its own time limit ends the flow.
-PUMP_TIME_MARGIN = 1.2
-
-
-def longest_run_s(volume_ml: float, tank: Tank) -> float:
-    """Return the longest time that the pump may run to move ``volume_ml``."""
-    return PUMP_TIME_MARGIN * volume_ml / tank.pump_rate_ml_per_min * 60
 
 
 class StageTravel(Part):
@@ -194,6 +187,11 @@ class RigConfig(Part):
         )
 
 
+def longest_run_s(volume_ml: float, tank: Tank) -> float:
+    """Return the longest time that the pump may run to move ``volume_ml``."""
+    return PUMP_TIME_MARGIN * volume_ml / tank.pump_rate_ml_per_min * 60
+
+
 def load_config(path: Path) -> RigConfig:
     """Read a configuration, or say in one sentence what is wrong with its first bad value and on which line."""
     try:
@@ -239,11 +237,16 @@ def first_fault(error: ValidationError, *, source: str, text: str = "") -> str:
 def line_of(text: str, keys: list[str]) -> int | None:
     """Return the line where the TOML key ``keys`` stands, or that of the nearest table that holds it."""
     table: list[str] = []
+    tables_of: dict[str, int] = {}
     best: tuple[int, int] | None = None
     for number, line in enumerate(text.splitlines(), start=1):
         content = line.strip()
         if content.startswith("["):
-            table = [part.strip() for part in content.split("]")[0].lstrip("[").split(".")]
+            name = content.split("]")[0].lstrip("[")
+            table = [part.strip() for part in name.split(".")]
+            if content.startswith("[["):
+                tables_of[name] = tables_of.get(name, -1) + 1
+                table.append(str(tables_of[name]))
             path = table
         elif "=" in content and not content.startswith("#"):
             path = table + [part.strip() for part in content.split("=")[0].split(".")]

@@ -31,8 +31,8 @@ TIMING = {
     "still_after_move_s": 2.0,
     "still_after_fill_s": 60.0,
 }
-# A grey JPEG of quality 95 takes about 1.3 bits a pixel where most of the photo is dark.
-PHOTO_BYTES_PER_PIXEL = 0.16
+# Measured: 54 MB for 520 noisy photos of 1024 × 1024 that are mostly dark (grey JPEG, quality 95).
+PHOTO_BYTES_PER_PIXEL = 0.1
 
 
 @dataclass(frozen=True, slots=True)

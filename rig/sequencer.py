@@ -6,6 +6,7 @@ take the tank past its free volume. Every intent is in the journal before its ac
 
 import math
 from collections.abc import Sequence
+from itertools import zip_longest
 
 from drivers.errors import DeviceError
 from drivers.protocols import FlowDirection, Photo
@@ -70,7 +71,8 @@ class Sequencer:
     def run(self, plan: Sequence[Step]) -> None:
         """Run every step; however it ends, pump and stage stand still afterwards and the journal says so."""
         try:
-            for step, following in zip(plan, [*plan[1:], None], strict=True):
+            self._prepare()
+            for step, following in zip_longest(plan, plan[1:]):
                 self._stop.check()
                 if not isinstance(step, TakePhoto):
                     self._progress.tell(step_text(step))
@@ -78,6 +80,17 @@ class Sequencer:
                 self._progress.advance(step_duration_s(step, self._config))
         finally:
             self.come_to_rest()
+
+    def _prepare(self) -> None:
+        """Refuse a panel of another size than configured, and freeze the camera's settings."""
+        screen, panel = self._devices.display.screen(), self._config.display
+        if (screen.columns, screen.rows) != (panel.columns, panel.rows):
+            raise CaptureError(
+                f"display: {panel.columns} × {panel.rows} device pixels configured, it has {screen.columns} × "
+                f"{screen.rows}; correct section [display], or the display's zoom and rotation"
+            )
+        if self._config.camera.settings:
+            self._devices.camera.apply_settings(self._config.camera.settings)
 
     def come_to_rest(self) -> None:
         """Stop pump and stage, each even if the other does not answer."""

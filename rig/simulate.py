@@ -6,6 +6,7 @@ Photos are pure functions of scene and plan, so that both roads lead to the same
 from collections import deque
 from collections.abc import Iterator
 from concurrent.futures import Future, ThreadPoolExecutor
+from contextlib import contextmanager
 from pathlib import Path
 
 from rich.console import Console
@@ -20,22 +21,23 @@ from sim_backend.photography import Photographer, save_truth
 from sim_backend.scene import Scene
 
 
-def simulate_session(
-    scene: Scene, config: RigConfig, folder: Path, *, workers: int, console: Console, with_truth: bool = True
-) -> int:
+def simulate_session(scene: Scene, config: RigConfig, folder: Path, *, workers: int, console: Console) -> int:
     """Write a whole session with its truth into ``folder`` and return the number of photos.
 
     The files are not flushed one by one: what a power cut takes can be simulated again.
     """
     photographer = Photographer(scene)
     photos = all_photos(config)
+    manifest = manifest_of(config, devices={"simulator": SIMULATED_DEVICE}, scene=scene)
     with (
-        SessionWriter.create(
-            folder, manifest_of(config, devices={"simulator": SIMULATED_DEVICE}, scene=scene), durable=False
-        ) as writer,
+        SessionWriter.create(folder, manifest, durable=False) as writer,
         CaptureProgress(console, total_s=len(photos)) as progress,
+        worker_pool(workers) as pool,
     ):
-        for photo, data in develop(photos, photographer, config, workers=workers):
+        progress.tell("tracing light")
+        truth = pool.submit(photographer.truth)
+        for photo, data in develop(photos, photographer, config, pool=pool, ahead=2 * workers):
+            progress.tell(f"{photo.set_name} {photo.sweep} {photo.index}")
             writer.save_photo(
                 data,
                 set_name=photo.set_name,
@@ -44,32 +46,40 @@ def simulate_session(
                 place_px=photo.place_px,
                 device={"frame_id": photo.frame_id},
             )
-            progress.tell(f"{photo.set_name} {photo.sweep} {photo.index}")
             progress.advance(1)
-        if with_truth:
-            save_truth(photographer.truth(), folder / TRUTH_NAME)
+        save_truth(truth.result(), folder / TRUTH_NAME)
         writer.journal.append("capture_finished", photos=len(photos))
     return len(photos)
 
 
+@contextmanager
+def worker_pool(workers: int) -> Iterator[ThreadPoolExecutor]:
+    """Give a pool of threads that drops what is not begun when an error or Ctrl-C ends the work."""
+    pool = ThreadPoolExecutor(workers)
+    try:
+        yield pool
+    finally:
+        pool.shutdown(wait=True, cancel_futures=True)
+
+
 def develop(
-    photos: tuple[TakePhoto, ...], photographer: Photographer, config: RigConfig, *, workers: int
+    photos: tuple[TakePhoto, ...],
+    photographer: Photographer,
+    config: RigConfig,
+    *,
+    pool: ThreadPoolExecutor,
+    ahead: int,
 ) -> Iterator[tuple[TakePhoto, bytes]]:
-    """Yield every photo in order, computed on ``workers`` threads that stay only a little ahead of the disk."""
+    """Yield every photo in order; at most ``ahead`` photos wait in memory for the disk."""
     places = {set_name(place): place for place in set_order(config)}
     waiting: deque[tuple[TakePhoto, Future[bytes]]] = deque()
-    with ThreadPoolExecutor(workers) as pool:
-        try:
-            for photo in photos:
-                waiting.append((photo, pool.submit(take, photo, places[photo.set_name], photographer, config)))
-                if len(waiting) > 2 * workers:
-                    done, future = waiting.popleft()
-                    yield done, future.result()
-            while waiting:
-                done, future = waiting.popleft()
-                yield done, future.result()
-        finally:
-            pool.shutdown(wait=True, cancel_futures=True)
+    for photo in photos:
+        waiting.append((photo, pool.submit(take, photo, places[photo.set_name], photographer, config)))
+        if len(waiting) > ahead:
+            done, future = waiting.popleft()
+            yield done, future.result()
+    for done, future in waiting:
+        yield done, future.result()
 
 
 def take(photo: TakePhoto, place: SetPlace, photographer: Photographer, config: RigConfig) -> bytes:
