@@ -7,7 +7,7 @@ simple bodies is exact: no mesh, no facets.
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import Protocol
+from typing import Protocol, runtime_checkable
 
 import numpy as np
 from jaxtyping import Bool, Float64, Int64
@@ -29,6 +29,7 @@ class Crossings:
     starts_inside: Bool[np.ndarray, " rays"]
 
 
+@runtime_checkable
 class Solid(Protocol):
     """A region of space bounded by simple surfaces."""
 
@@ -41,11 +42,11 @@ class Solid(Protocol):
         ...
 
 
+@runtime_checkable
 class Leaf(Solid, Protocol):
     """A solid with a single surface."""
 
-    @property
-    def convex(self) -> bool:
+    def is_convex(self) -> bool:
         """Whether every line meets the solid in one piece."""
         ...
 
@@ -69,8 +70,7 @@ class HalfSpace:
     point: Float64[np.ndarray, " 3"]
     normal: Float64[np.ndarray, " 3"]
 
-    @property
-    def convex(self) -> bool:
+    def is_convex(self) -> bool:
         """A half-space is convex."""
         return True
 
@@ -105,8 +105,7 @@ class Quadric:
     linear: Float64[np.ndarray, " 3"]
     constant: float
 
-    @property
-    def convex(self) -> bool:
+    def is_convex(self) -> bool:
         """Convex where the matrix has no negative eigenvalue (spheres, ellipsoids, cylinders; not cones)."""
         return bool(np.linalg.eigvalsh(self.matrix)[0] >= -1e-12 * np.abs(self.matrix).max())
 
@@ -172,7 +171,9 @@ class Combination:
 
     def crossings(self, origin: Vectors, direction: Vectors) -> Crossings:
         """Merge the crossings of the parts, and keep those where the number of parts entered passes ``needed``."""
-        if self.needed == len(self.solids) and all(getattr(solid, "convex", False) for solid in self.solids):
+        if self.needed == len(self.solids) and all(
+            isinstance(solid, HalfSpace | Quadric) and solid.is_convex() for solid in self.solids
+        ):
             return _convex_intersection(self.solids, origin, direction)
         parts = [solid.crossings(origin, direction) for solid in self.solids]
         offsets = np.cumsum([0, *(len(solid.leaves()) for solid in self.solids)])
