@@ -1,0 +1,95 @@
+"""The benches that each protocol is tested on: a device, and a world that says independently what really happened.
+
+A driver with its emulator joins a suite by one more entry in ``STAGES``, ``PUMPS``, ``DISPLAYS`` or ``CAMERAS``.
+"""
+
+from collections.abc import Callable, Iterator
+from contextlib import AbstractContextManager, contextmanager
+from dataclasses import dataclass
+from typing import Any, Generic, TypeVar
+
+import numpy as np
+import pytest
+
+from drivers.protocols import Camera, Display, Frame, Pump, Stage
+from sim_backend.camera import SimulatedCamera
+from sim_backend.clock import SimulatedClock
+from sim_backend.display import SimulatedDisplay
+from sim_backend.photography import Photographer
+from sim_backend.pump import SimulatedPump
+from sim_backend.scene import load_scene
+from sim_backend.stage import SimulatedStage
+from sim_backend.world import TankSize, World, WorldState
+
+COLUMNS, ROWS = 64, 64
+TRAVEL_MM = (0.0, 100.0)
+PUMP_ML_PER_MIN = 600.0
+D = TypeVar("D")
+
+
+@dataclass(frozen=True)
+class Bench(Generic[D]):
+    device: D
+    world: World
+
+
+def empty_world() -> World:
+    dark = Frame(axis="x", levels=np.zeros(COLUMNS, np.uint8))
+    state = WorldState(reservoir_ml=5000.0, stage_mm=37.0)
+    return World(clock=SimulatedClock(), tank=TankSize(6000.0, 4000.0), dark_frame=dark, state=state)
+
+
+@contextmanager
+def simulated_stage() -> Iterator[Bench[Stage]]:
+    world = empty_world()
+    with SimulatedStage(world, travel_mm=TRAVEL_MM, velocity_mm_per_s=10.0) as stage:
+        yield Bench(stage, world)
+
+
+@contextmanager
+def simulated_pump() -> Iterator[Bench[Pump]]:
+    world = empty_world()
+    with SimulatedPump(world, rate_ml_per_min=PUMP_ML_PER_MIN) as pump:
+        yield Bench(pump, world)
+
+
+@contextmanager
+def simulated_display() -> Iterator[Bench[Display]]:
+    world = empty_world()
+    with SimulatedDisplay(world, columns=COLUMNS, rows=ROWS, latency_s=0.03) as display:
+        yield Bench(display, world)
+
+
+@contextmanager
+def simulated_camera() -> Iterator[Bench[Camera]]:
+    world = empty_world()
+    optics = Photographer(load_scene("semi_ellipsoid").resized(camera_columns=32, display_columns=COLUMNS))
+    with SimulatedCamera(world, optics, exposure_s=0.5, download_s=1.5) as camera:
+        yield Bench(camera, world)
+
+
+Opener = Callable[[], AbstractContextManager[Bench[Any]]]
+STAGES: dict[str, Opener] = {"simulated": simulated_stage}
+PUMPS: dict[str, Opener] = {"simulated": simulated_pump}
+DISPLAYS: dict[str, Opener] = {"simulated": simulated_display}
+CAMERAS: dict[str, Opener] = {"simulated": simulated_camera}
+
+
+@pytest.fixture(params=STAGES)
+def open_stage(request: pytest.FixtureRequest) -> Opener:
+    return STAGES[request.param]
+
+
+@pytest.fixture(params=PUMPS)
+def open_pump(request: pytest.FixtureRequest) -> Opener:
+    return PUMPS[request.param]
+
+
+@pytest.fixture(params=DISPLAYS)
+def open_display(request: pytest.FixtureRequest) -> Opener:
+    return DISPLAYS[request.param]
+
+
+@pytest.fixture(params=CAMERAS)
+def open_camera(request: pytest.FixtureRequest) -> Opener:
+    return CAMERAS[request.param]
