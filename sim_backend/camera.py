@@ -1,7 +1,7 @@
 """A simulated camera: it photographs what the world shows at the moment of its exposure."""
 
 from types import TracebackType
-from typing import Protocol, Self
+from typing import Protocol, Self, runtime_checkable
 
 from drivers.errors import DeviceBusyError, DeviceProtocolError, DeviceTimeoutError
 from drivers.protocols import DeviceInfo, Frame, Photo
@@ -11,6 +11,7 @@ from sim_backend.world import Sight, World
 DEFAULT_SETTINGS = {"shutter": "1/4", "aperture": "8", "iso": "100", "white_balance": "daylight", "focus": "manual"}
 
 
+@runtime_checkable
 class TakesPhotos(Protocol):
     """The optics behind the camera: :class:`sim_backend.photography.Photographer`, or a stand-in."""
 
