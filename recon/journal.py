@@ -10,7 +10,7 @@ from collections.abc import Iterator
 from datetime import UTC, datetime
 from pathlib import Path
 from types import TracebackType
-from typing import Any, Self
+from typing import Any
 
 from pydantic import BaseModel, ConfigDict, ValidationError
 
@@ -60,7 +60,7 @@ class JournalWriter:
         """Close the file; safe to call twice."""
         self._file.close()
 
-    def __enter__(self) -> Self:
+    def __enter__(self) -> "JournalWriter":
         return self
 
     def __exit__(

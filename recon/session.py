@@ -19,7 +19,7 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path, PurePosixPath
 from types import TracebackType
-from typing import Any, Self
+from typing import Any
 
 from pydantic import ValidationError
 
@@ -175,7 +175,7 @@ class SessionWriter:
         """Close the journal; safe to call twice."""
         self.journal.close()
 
-    def __enter__(self) -> Self:
+    def __enter__(self) -> "SessionWriter":
         return self
 
     def __exit__(

@@ -1,7 +1,7 @@
 """A simulated camera: it photographs what the world shows at the moment of its exposure."""
 
 from types import TracebackType
-from typing import Protocol, Self, runtime_checkable
+from typing import Protocol, runtime_checkable
 
 from drivers.errors import DeviceBusyError, DeviceProtocolError, DeviceTimeoutError
 from drivers.protocols import DeviceInfo, Frame, Photo
@@ -79,7 +79,7 @@ class SimulatedCamera:
         if duration_s > timeout_s:
             raise DeviceTimeoutError(f"camera: {what} was not over after {timeout_s:g} s; allow more time")
 
-    def __enter__(self) -> Self:
+    def __enter__(self) -> "SimulatedCamera":
         return self
 
     def __exit__(

@@ -1,7 +1,6 @@
 """A simulated display: it shows a frame in the world, and checks that the frame fits its panel."""
 
 from types import TracebackType
-from typing import Self
 
 from drivers.errors import DeviceProtocolError, DeviceTimeoutError
 from drivers.protocols import DeviceInfo, Frame, ScreenInfo
@@ -54,7 +53,7 @@ class SimulatedDisplay:
                     f"display: a patch of {columns} × {rows} at column {patch.column}, row {patch.row} asked, {panel}"
                 )
 
-    def __enter__(self) -> Self:
+    def __enter__(self) -> "SimulatedDisplay":
         return self
 
     def __exit__(

@@ -2,7 +2,6 @@
 
 import math
 from types import TracebackType
-from typing import Self
 
 from drivers.errors import DeviceBusyError, OutOfVolumeError
 from drivers.protocols import DeviceInfo, FlowDirection, PumpStatus
@@ -44,7 +43,7 @@ class SimulatedPump:
         """Stop now; harmless when it stands."""
         self._world.stop_flow()
 
-    def __enter__(self) -> Self:
+    def __enter__(self) -> "SimulatedPump":
         return self
 
     def __exit__(
@@ -67,7 +66,7 @@ class SimulatedLevelSensor:
         """What the tank holds now."""
         return self._world.state().tank_ml
 
-    def __enter__(self) -> Self:
+    def __enter__(self) -> "SimulatedLevelSensor":
         return self
 
     def __exit__(

@@ -1,7 +1,6 @@
 """A simulated linear stage: it takes time, refuses to leave its travel, and must be homed."""
 
 from types import TracebackType
-from typing import Self
 
 from drivers.errors import DeviceTimeoutError, OutOfTravelError, UnknownPositionError
 from drivers.protocols import DeviceInfo
@@ -65,7 +64,7 @@ class SimulatedStage:
         """Stop now; harmless when it stands."""
         self._world.stop_motion()
 
-    def __enter__(self) -> Self:
+    def __enter__(self) -> "SimulatedStage":
         return self
 
     def __exit__(
