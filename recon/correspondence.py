@@ -28,7 +28,7 @@ LEAST_PEAK_COUNTS = 2.0
 NEIGHBOURS_BEYOND_PROFILE = 3
 # A curve whose misfit is a quarter of its height is not that of one stripe.
 LARGEST_MISFIT = 0.25
-NOISE_SAMPLE_PIXELS = 20000
+NOISE_SAMPLE_PIXELS = 8000
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -178,11 +178,19 @@ def _by_likelihood(
     fit = None
     footprint = np.zeros((len(pixels), 2))
     # The footprint comes from the map's gradient and the map from the fit: twice round is enough.
-    for _ in range(2):
+    for last in (False, True):
         footprint = _footprint(place, pixels, black.shape)
         noise = _noise(windows, pixels, place, footprint, noise=noise, black=black, pattern=pattern, clipped=clipped)
         fit = fit_stripe(
-            windows, pixels, place, footprint, black=black.ravel(), pattern=pattern, noise=noise, clipped=clipped
+            windows,
+            pixels,
+            place,
+            footprint,
+            black=black.ravel(),
+            pattern=pattern,
+            noise=noise,
+            clipped=clipped,
+            intervals=last,
         )
         place = np.clip(fit.place_px, brightest_px - 2 * pattern.step_px, brightest_px + 2 * pattern.step_px)
     assert fit is not None
@@ -236,7 +244,7 @@ def _noise(
     clipped: int,
 ) -> NoiseModel:
     """Fit an even sample of the pixels with the noise known so far and read the noise from what is left."""
-    some = np.arange(0, len(pixels), max(len(pixels) // NOISE_SAMPLE_PIXELS, 1))
+    some = np.arange(0, len(pixels), max(-(-len(pixels) // NOISE_SAMPLE_PIXELS), 1))
     if len(some) == 0:
         return noise
     fit = fit_stripe(
@@ -248,6 +256,7 @@ def _noise(
         pattern=pattern,
         noise=noise,
         clipped=clipped,
+        intervals=False,
     )
     samples = curve_samples(windows, pixels[some], black=black.ravel(), pattern=pattern, clipped=clipped)
     shape, _ = footprint_average(

@@ -19,10 +19,12 @@ from recon.stripe_peak import PeakWindows
 GAUSS_NEWTON_STEPS = 8
 # A step of the iteration may not leave the neighbourhood of the brightest sample.
 LARGEST_CORRECTION_STEPS = 0.5
+# A stripe of so few steps can be seen in one photo alone; a broader one always has flanks.
+SHARP_STEPS = 2.0
 # Beyond this sd (in stripe steps) the curve's peak is flat on the scale of the curve itself.
 INTERVAL_SD_STEPS = 0.03
-GRID_POINTS = 61
-PIXELS_A_CHUNK = 16384
+GRID_POINTS = 41
+PIXELS_A_CHUNK = 4096
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -76,17 +78,20 @@ def fit_stripe(
     pattern: StripePattern,
     noise: NoiseModel,
     clipped: int,
+    intervals: bool = True,
 ) -> StripeFit:
     """Fit the curve of every listed pixel, some thousands at a time so that memory stays small.
 
     ``start_px`` is a first guess within two steps of the answer, ``footprint_px`` the two box widths of the pixel's footprint
-    on the display, in device pixels.
+    on the display, in device pixels. ``intervals=False`` skips the slow treatment of places known only to an interval, for
+    a round whose result is refined again.
     """
+    sharp = intervals and pattern.width_px <= SHARP_STEPS * pattern.step_px
     parts = []
     for low in range(0, max(len(pixels), 1), PIXELS_A_CHUNK):
         part = slice(low, low + PIXELS_A_CHUNK)
         samples = curve_samples(windows, pixels[part], black=black, pattern=pattern, clipped=clipped)
-        parts.append(_fit_chunk(samples, start_px[part], footprint_px[part], pattern=pattern, noise=noise))
+        parts.append(_fit_chunk(samples, start_px[part], footprint_px[part], pattern=pattern, noise=noise, sharp=sharp))
     return StripeFit(*(np.concatenate([getattr(part, name) for part in parts]) for name in StripeFit.__slots__))
 
 
@@ -97,6 +102,7 @@ def _fit_chunk(
     *,
     pattern: StripePattern,
     noise: NoiseModel,
+    sharp: bool,
 ) -> StripeFit:
     place = start_px.copy()
     limit = LARGEST_CORRECTION_STEPS * pattern.step_px
@@ -115,7 +121,7 @@ def _fit_chunk(
             break
     state = _linearise(samples, place, footprint_px, pattern=pattern, noise=noise)
     sd = 1 / np.sqrt(np.maximum(state.information, 1e-30))
-    vague = (sd > INTERVAL_SD_STEPS * pattern.step_px) | (np.abs(state.correction) > 0.2 * sd)
+    vague = sharp & ((sd > INTERVAL_SD_STEPS * pattern.step_px) | (np.abs(state.correction) > 0.2 * sd))
     if vague.any():
         place[vague], sd[vague] = _interval(
             samples.some(vague), start_px[vague], footprint_px[vague], pattern=pattern, noise=noise
@@ -150,32 +156,77 @@ def _linearise(
     weight = samples.usable / noise.variance(height)
     # The black photo is one more measurement of the background.
     black_weight = 1 / noise.variance(np.zeros(1))[0]
-    s_mm = (weight * shape**2).sum(1) + 1e-12
-    s_m = (weight * shape).sum(1)
-    s_1 = weight.sum(1) + black_weight
-    s_my = (weight * shape * height).sum(1)
-    s_y = (weight * height).sum(1)
-    determinant = np.maximum(s_mm * s_1 - s_m**2, 1e-12)
-    amplitude = (s_1 * s_my - s_m * s_y) / determinant
-    background = (s_mm * s_y - s_m * s_my) / determinant
-    residual = height - amplitude[:, None] * shape - background[:, None]
-    by_place = -amplitude[:, None] * slope
+    linear = _linear_part(weight, shape, height, black_weight)
+    residual = height - linear.amplitude[:, None] * shape - linear.background[:, None]
+    by_place = -linear.amplitude[:, None] * slope
     # Remove from the derivative what amplitude and background could do instead.
-    s_dm = (weight * by_place * shape).sum(1)
-    s_d = (weight * by_place).sum(1)
-    toward_m = (s_1 * s_dm - s_m * s_d) / determinant
-    toward_1 = (s_mm * s_d - s_m * s_dm) / determinant
+    s_dm = _row_sums(weight * by_place, shape)
+    s_d = _row_sums(weight, by_place)
+    toward_m = (linear.s_1 * s_dm - linear.s_m * s_d) / linear.determinant
+    toward_1 = (linear.s_mm * s_d - linear.s_m * s_dm) / linear.determinant
     own = by_place - toward_m[:, None] * shape - toward_1[:, None]
-    information = (weight * own**2).sum(1) + black_weight * toward_1**2
-    gradient = (weight * own * residual).sum(1) + black_weight * toward_1 * background
-    chi_square = (weight * residual**2).sum(1) + black_weight * background**2
+    information = _row_sums(weight * own, own) + black_weight * toward_1**2
+    gradient = _row_sums(weight * own, residual) + black_weight * toward_1 * linear.background
+    chi_square = _row_sums(weight * residual, residual) + black_weight * linear.background**2
     return _Linearised(
-        amplitude,
-        background + samples.black,
+        linear.amplitude,
+        linear.background + samples.black,
         chi_square,
         gradient / np.maximum(information, 1e-12),
         information,
     )
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class _LinearPart:
+    """Amplitude and background at a given place, with the sums of their normal equations."""
+
+    amplitude: np.ndarray
+    background: np.ndarray
+    s_mm: np.ndarray
+    s_m: np.ndarray
+    s_1: np.ndarray
+    determinant: np.ndarray
+
+
+def _linear_part(weight: np.ndarray, shape: np.ndarray, height: np.ndarray, black_weight: float) -> _LinearPart:
+    weighted = weight * shape
+    s_mm = _row_sums(weighted, shape) + 1e-12
+    s_m = weighted.sum(1)
+    s_1 = weight.sum(1) + black_weight
+    s_my = _row_sums(weighted, height)
+    s_y = _row_sums(weight, height)
+    determinant = np.maximum(s_mm * s_1 - s_m**2, 1e-12)
+    return _LinearPart(
+        amplitude=(s_1 * s_my - s_m * s_y) / determinant,
+        background=(s_mm * s_y - s_m * s_my) / determinant,
+        s_mm=s_mm,
+        s_m=s_m,
+        s_1=s_1,
+        determinant=determinant,
+    )
+
+
+def _row_sums(first: np.ndarray, second: np.ndarray) -> np.ndarray:
+    """Return the sum of products along each row, without the array of products."""
+    return np.einsum("ps,ps->p", first, second)
+
+
+def _profile_chi_square(
+    samples: CurveSamples,
+    place: np.ndarray,
+    footprint_px: np.ndarray,
+    weight: np.ndarray,
+    *,
+    pattern: StripePattern,
+    black_weight: float,
+) -> np.ndarray:
+    """Return chi-square at these places with amplitude and background at their best."""
+    shape, _ = footprint_average(samples.place_px - place[:, None], footprint_px[:, 0], footprint_px[:, 1], pattern)
+    height = samples.counts - samples.black[:, None]
+    linear = _linear_part(weight, shape, height, black_weight)
+    residual = height - linear.amplitude[:, None] * shape - linear.background[:, None]
+    return _row_sums(weight * residual, residual) + black_weight * linear.background**2
 
 
 def _interval(
@@ -187,18 +238,22 @@ def _interval(
     noise: NoiseModel,
 ) -> tuple[np.ndarray, np.ndarray]:
     """Return mean and sd of the place under the profile likelihood, over a grid about the brightest sample."""
-    grid = np.linspace(-1.5, 1.5, GRID_POINTS) * pattern.step_px
+    grid = np.linspace(-1.25, 1.25, GRID_POINTS) * pattern.step_px
+    weight = samples.usable / noise.variance(samples.counts - samples.black[:, None])
+    black_weight = float(1 / noise.variance(np.zeros(1))[0])
     chi_square = np.stack(
         [
-            _linearise(samples, start_px + offset, footprint_px, pattern=pattern, noise=noise).chi_square
+            _profile_chi_square(
+                samples, start_px + offset, footprint_px, weight, pattern=pattern, black_weight=black_weight
+            )
             for offset in grid
         ],
         axis=1,
     )
-    weight = np.exp(-0.5 * (chi_square - chi_square.min(axis=1, keepdims=True)))
-    weight /= weight.sum(axis=1, keepdims=True)
-    mean = weight @ grid
-    variance = weight @ grid**2 - mean**2
+    likelihood = np.exp(-0.5 * (chi_square - chi_square.min(axis=1, keepdims=True)))
+    likelihood /= likelihood.sum(axis=1, keepdims=True)
+    mean = likelihood @ grid
+    variance = likelihood @ grid**2 - mean**2
     # The grid itself is a uniform quantisation of its spacing.
     spacing = grid[1] - grid[0]
     return start_px + mean, np.sqrt(np.maximum(variance, 0.0) + spacing**2 / 12)

@@ -1,9 +1,9 @@
 """The surface of a session: which integration each method uses, and what it needs to know of the camera."""
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
-from jaxtyping import Float64
+from jaxtyping import Float32, Float64
 
 from recon.correspondence import Method
 from recon.manifest import CameraBody, Manifest
@@ -11,7 +11,7 @@ from recon.maps import Maps
 from recon.reconstruct import Crossing
 from recon.sight import sight_rays
 from recon.status import PixelStatus
-from recon.surface.fusion import fuse_on_rays
+from recon.surface.fusion import FusedSurface, fuse_on_rays
 from recon.surface.integration import integrate_perspective
 from recon.surface.mesh import Mesh, mesh_from_point_map
 
@@ -75,4 +75,29 @@ def fused_surface(maps: Maps, crossing: Crossing) -> Surface:
         np.isfinite(normal).all(axis=2),
     )
     covered = np.isfinite(fused.point_mm).all(axis=2)
-    return Surface(maps, mesh_from_point_map(fused.point_mm, normal, covered))
+    status = np.where(covered, np.uint8(PixelStatus.OK), maps.status)
+    lost = (status == PixelStatus.OK) & ~covered
+    status[lost] = PixelStatus.PARALLEL_PATHS
+    refined = replace(
+        maps,
+        point_mm=fused.point_mm,
+        normal=np.where(covered[..., None], normal, np.nan),
+        sd_mm=_sd(crossing, surface_pixel, fused, shape=maps.status.shape),
+        status=status,
+    )
+    return Surface(refined, mesh_from_point_map(fused.point_mm, normal, covered))
+
+
+def _sd(
+    crossing: Crossing, surface_pixel: np.ndarray, fused: FusedSurface, *, shape: tuple[int, ...]
+) -> Float32[np.ndarray, "rows cols"]:
+    """Return each fused point's sd: along its ray from the surface, across it from the ray's own correspondences."""
+    pixels = crossing.pixels[surface_pixel]
+    distance = fused.distance_mm.ravel()
+    shift = crossing.air.covariance_at(np.nan_to_num(distance[crossing.pixels]))
+    direction = crossing.air.direction
+    along = np.einsum("pi,pij,pj->p", direction, shift, direction)
+    across = (np.trace(shift, axis1=1, axis2=2) - along)[surface_pixel]
+    variance = np.full(distance.size, np.nan)
+    variance[pixels] = across + fused.distance_sd_mm.ravel()[pixels] ** 2
+    return np.sqrt(variance).astype(np.float32).reshape(shape)

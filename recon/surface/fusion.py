@@ -11,7 +11,8 @@ from dataclasses import dataclass
 
 import numpy as np
 from jaxtyping import Bool, Float64
-from scipy.ndimage import distance_transform_edt, median_filter
+from scipy.ndimage import distance_transform_edt, median_filter, uniform_filter
+from scipy.sparse import csr_array
 
 from recon.surface.neighbours import Neighbours, components, neighbours_of, normal_equations
 from recon.surface.sparse_solver import solver
@@ -30,11 +31,15 @@ NORMAL_CONSISTENT_MAD = 1.4826
 # chord adds up over a thousand pixels to only 30 times as much.
 SMALLEST_CHORD_SHARE = 1e-4
 START_WINDOW_PX = 5
+# Standard deviations are estimated from this many draws over this window: good to a tenth.
+SD_DRAWS = 6
+SD_WINDOW_PX = 5
+SD_SEED = 20180601
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class FusedSurface:
-    """The fused surface: distance along each ray, point there, and what share of its say each measurement kept.
+    """The fused surface: distance along each ray with its sd, point there, and what say each measurement kept.
 
     ``position_weight`` is 1 where the triangulated distance agrees with the surface and falls towards 0 for an outlier
     (0 where there was none). ``normal_scale`` and ``position_scale`` tell how many times larger the residuals are than
@@ -42,6 +47,7 @@ class FusedSurface:
     """
 
     distance_mm: ScalarMap
+    distance_sd_mm: ScalarMap
     point_mm: VectorMap
     position_weight: ScalarMap
     normal_scale: float
@@ -121,14 +127,16 @@ def fuse_on_rays(
     pairs = _reweighted(_contradiction(chords, graph, rays, distance))
     positions = _position_weights(rays, distance)
     for _ in range(rounds if graph.pixels else 0):
-        distance = _solve(graph, rays, chords, pairs, positions, distance)
+        distance = _solve(graph, rays, chords, _system(graph, rays, chords, pairs, positions), distance)
         chords = _chords(rays, graph, distance)
         pairs = _reweighted(chords.residual(graph, distance) / np.sqrt(chords.variance))
         positions = _position_weights(rays, distance)
+    last = _system(graph, rays, chords, pairs, positions)
     point = np.full(origin_mm.shape, np.nan)
     point[used] = rays.origin + distance[:, None] * rays.direction
     return FusedSurface(
         distance_mm=graph.on_grid(distance),
+        distance_sd_mm=graph.on_grid(_standard_deviation(graph, chords, last) if graph.pixels else distance),
         point_mm=point,
         position_weight=graph.on_grid(positions.weight),
         normal_scale=pairs.scale,
@@ -228,17 +236,49 @@ def _contradiction(chords: _Chords, graph: Neighbours, rays: _Rays, distance: Pe
     return chords.residual(graph, distance) / np.sqrt(chords.variance + noise)
 
 
-def _solve(
-    graph: Neighbours, rays: _Rays, chords: _Chords, pairs: _Weights, positions: _Weights, guess: PerPixel
-) -> PerPixel:
-    """Minimise Σ weight · residual² / variance over chords and measured distances."""
+@dataclass(frozen=True, slots=True, eq=False)
+class _System:
+    """The normal equations of one round: matrix, and the weight (1 / variance) of every chord and measured distance."""
+
+    matrix: csr_array
+    chord_weight: np.ndarray
+    own_weight: np.ndarray
+
+
+def _system(graph: Neighbours, rays: _Rays, chords: _Chords, pairs: _Weights, positions: _Weights) -> _System:
     weight = pairs.weight / (pairs.scale**2 * chords.variance)
     own = positions.weight * rays.precision / positions.scale**2
-    matrix = normal_equations(graph, chords.at_first, chords.at_second, weight, own)
-    right = own * rays.measured
-    right += np.bincount(graph.first, weight * chords.at_first * chords.right, minlength=graph.pixels)
-    right += np.bincount(graph.second, weight * chords.at_second * chords.right, minlength=graph.pixels)
-    return solver(matrix)(right, guess)
+    return _System(normal_equations(graph, chords.at_first, chords.at_second, weight, own), weight, own)
+
+
+def _gather(graph: Neighbours, chords: _Chords, per_chord: PerPair, per_pixel: PerPixel) -> PerPixel:
+    """Return Jᵀ applied to one value a chord and one a measured distance."""
+    total = per_pixel + np.bincount(graph.first, chords.at_first * per_chord, minlength=graph.pixels)
+    return total + np.bincount(graph.second, chords.at_second * per_chord, minlength=graph.pixels)
+
+
+def _solve(graph: Neighbours, rays: _Rays, chords: _Chords, system: _System, guess: PerPixel) -> PerPixel:
+    """Minimise Σ weight · residual² / variance over chords and measured distances."""
+    right = _gather(graph, chords, system.chord_weight * chords.right, system.own_weight * rays.measured)
+    return solver(system.matrix)(right, guess)
+
+
+def _standard_deviation(graph: Neighbours, chords: _Chords, system: _System) -> PerPixel:
+    """Return the sd of each distance: the spread of solutions drawn from the equations' own noise.
+
+    A right side Jᵀ W^½ z with standard normal z has the covariance of the normal equations, so its solutions have the
+    covariance of the answer. The few draws are averaged over a small window, on which an uncertainty is smooth.
+    """
+    rng = np.random.default_rng(SD_SEED)
+    solve = solver(system.matrix)
+    square = np.zeros(graph.pixels)
+    for _ in range(SD_DRAWS):
+        per_chord = np.sqrt(system.chord_weight) * rng.standard_normal(len(system.chord_weight))
+        per_pixel = np.sqrt(system.own_weight) * rng.standard_normal(graph.pixels)
+        square += solve(_gather(graph, chords, per_chord, per_pixel), np.zeros(graph.pixels)) ** 2
+    total = uniform_filter(np.where(graph.mask, np.nan_to_num(graph.on_grid(square)), 0.0), SD_WINDOW_PX)
+    count = uniform_filter(graph.mask.astype(np.float64), SD_WINDOW_PX)
+    return np.sqrt(total[graph.mask] / np.maximum(count[graph.mask], 1e-12) / SD_DRAWS)
 
 
 def _position_weights(rays: _Rays, distance: PerPixel) -> _Weights:
