@@ -43,10 +43,10 @@ def local_slopes(place_px: Grid, route: Int64[np.ndarray, "rows columns"]) -> tu
 
 
 def trapezoid_share(
-    offset_px: Float64[np.ndarray, " rays"],
-    wide_px: Float64[np.ndarray, " rays"],
-    narrow_px: Float64[np.ndarray, " rays"],
-) -> Float64[np.ndarray, " rays"]:
+    offset_px: Float64[np.ndarray, "*places"],
+    wide_px: Float64[np.ndarray, "*places"],
+    narrow_px: Float64[np.ndarray, "*places"],
+) -> Float64[np.ndarray, "*places"]:
     """Return the share of a trapezoid that lies below ``offset_px`` from its centre.
 
     The trapezoid is the overlap of two boxes of widths ``wide_px`` ≥ ``narrow_px`` > 0 slid over each other.

@@ -1,0 +1,147 @@
+"""Scenes: loading, sizes, and the objects they hold."""
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from sim_backend.photography import Photographer
+from sim_backend.scene import SceneError, load_scene, scene_names
+from sim_backend.truth import Truth, TruthStatus, save_truth
+
+HEMISPHERE = Path(__file__).parents[2] / "sim_backend" / "scenes" / "hemisphere.toml"
+
+
+@pytest.fixture(params=scene_names())
+def name(request: pytest.FixtureRequest) -> str:
+    return request.param
+
+
+def small_truth(name: str) -> Truth:
+    return Photographer(load_scene(name).resized(camera_columns=48)).truth()
+
+
+def judged(truth: Truth) -> tuple[np.ndarray, np.ndarray]:
+    chosen = truth.status == TruthStatus.JUDGED
+    assert chosen.mean() > 0.1
+    return truth.point_mm[chosen], truth.normal[chosen]
+
+
+def test_every_built_in_scene_shows_its_object_and_something_beside_it(name: str) -> None:
+    scene = load_scene(name)
+    assert scene.name == name
+    status = small_truth(name).status
+    assert (status == TruthStatus.JUDGED).mean() > 0.2
+    assert (status == TruthStatus.MISSES_OBJECT).any()
+
+
+def test_true_points_lie_between_camera_and_display_with_normals_towards_the_display(name: str) -> None:
+    scene = load_scene(name)
+    point, normal = judged(small_truth(name))
+    assert (point[:, 2] > scene.camera.position_mm[2]).all()
+    assert (point[:, 2] < min(scene.stage_positions_mm)).all()
+    np.testing.assert_allclose(np.linalg.norm(normal, axis=1), 1, atol=1e-12)
+    if scene.liquid_level_mm is not None:
+        assert (point[:, 2] > scene.liquid_level_mm).all()
+
+
+def test_an_unknown_scene_is_refused_with_the_names_of_those_that_exist() -> None:
+    with pytest.raises(SceneError, match=r"no scene 'teapot': choose one of .*hemisphere.*semi_ellipsoid"):
+        load_scene("teapot")
+
+
+def test_a_scene_file_with_a_wrong_field_is_refused_by_its_name(tmp_path: Path) -> None:
+    path = tmp_path / "mine.toml"
+    path.write_text(HEMISPHERE.read_text().replace("n_object = 1.5195", "n_object = 0.5"))
+    with pytest.raises(SceneError, match="n_object: Input should be greater than or equal to 1"):
+        load_scene(path)
+    path.write_text("name = ")
+    with pytest.raises(SceneError, match="is not TOML"):
+        load_scene(path)
+
+
+def test_a_scene_file_is_read_like_a_built_in_scene(tmp_path: Path) -> None:
+    path = tmp_path / "dome.toml"
+    path.write_text(HEMISPHERE.read_text().replace("27.99", "20.0"))
+    assert load_scene(path).specimen.model_dump() == {"kind": "hemisphere", "radius_mm": 20.0}
+
+
+def test_a_resized_scene_keeps_field_and_panel() -> None:
+    scene = load_scene("hemisphere")
+    other = scene.resized(camera_columns=64, display_columns=2048)
+    assert (other.camera.columns, other.camera.rows) == (64, 64)
+    assert (other.display.columns, other.display.rows) == (2048, 1536)
+    assert other.display.columns * other.display.pitch_mm == pytest.approx(
+        scene.display.columns * scene.display.pitch_mm
+    )
+    # The left edge of the photo, half a pixel before the first pixel's centre, looks the same way.
+    left = (-0.5 - scene.camera.centre_x_px) / scene.camera.focal_x_px
+    assert (-0.5 - other.camera.centre_x_px) / other.camera.focal_x_px == pytest.approx(left)
+
+
+def test_the_stage_carries_the_display_along_its_direction() -> None:
+    scene = load_scene("hemisphere")
+    first, second = (scene.display_pose_at(place) for place in scene.stage_positions_mm)
+    np.testing.assert_allclose(second.centre_mm - first.centre_mm, [0, 0, 40])
+    np.testing.assert_allclose(first.away(), [0, 0, 1])
+
+
+def test_a_hemisphere_has_its_points_on_the_sphere_and_radial_normals() -> None:
+    point, normal = judged(small_truth("hemisphere"))
+    np.testing.assert_allclose(np.linalg.norm(point, axis=1), 27.99, atol=1e-9)
+    np.testing.assert_allclose(normal, point / 27.99, atol=1e-9)
+
+
+def test_the_concave_cone_has_the_slope_of_its_height_over_its_radius() -> None:
+    point, normal = judged(small_truth("concave_cone"))
+    radius = np.hypot(point[:, 0], point[:, 1])
+    inner = radius < 4.9
+    # Apex 4 inside the face, and 10 wide there: z = -4 + 0.4 r. The normal leans towards the axis.
+    np.testing.assert_allclose(point[inner, 2], -4 + 0.4 * radius[inner], atol=1e-9)
+    np.testing.assert_allclose(normal[inner, 2], 1 / np.hypot(1, 0.4), atol=1e-9)
+    assert (np.sum(normal[inner, :2] * point[inner, :2], axis=1) < 0).all()
+
+
+def test_the_ornament_shows_six_planes() -> None:
+    scene = load_scene("ornament")
+    _, normal = judged(small_truth("ornament"))
+    tilt = np.degrees(np.arccos(normal[:, 2]))
+    found = np.unique(np.round(tilt, 6))
+    np.testing.assert_allclose(found, sorted(scene.specimen.facet_tilts_deg), atol=1e-6)
+
+
+def test_the_bottle_is_seen_through_its_air_to_the_far_side_of_its_outer_wall() -> None:
+    point, normal = judged(small_truth("bottle"))
+    side = np.abs(point[:, 1]) < 15
+    np.testing.assert_allclose(np.hypot(point[side, 0], point[side, 2]), 14.18, atol=1e-9)
+    np.testing.assert_allclose(normal[side, 1], 0, atol=1e-12)
+
+
+def test_the_thin_shell_bulges_towards_the_display() -> None:
+    point, normal = judged(small_truth("thin_shell"))
+    np.testing.assert_allclose(np.linalg.norm(point, axis=1), 10, atol=1e-9)
+    np.testing.assert_allclose(normal, point / 10, atol=1e-9)
+
+
+def test_the_padding_of_the_thin_cone_moves_no_normal() -> None:
+    scene = load_scene("thin_cone")
+    padded = scene.model_copy(update={"specimen": scene.specimen.model_copy(update={"padding_mm": 2.0})})
+    for each in (scene, padded):
+        _, normal = judged(Photographer(each.resized(camera_columns=48)).truth())
+        slope = np.degrees(np.arccos(normal[:, 2]))
+        # Points on the padding's rim have normals at right angles to z.
+        np.testing.assert_allclose(slope[slope < 80], np.degrees(np.arctan(1 / 4)), atol=1e-6)
+
+
+def test_a_thin_scene_cannot_be_photographed_wet() -> None:
+    with pytest.raises(SceneError, match="has no liquid"):
+        load_scene("thin_cone").world(wet=True)
+
+
+def test_the_truth_file_holds_points_normals_and_status(tmp_path: Path) -> None:
+    truth = small_truth("hemisphere")
+    save_truth(truth, tmp_path / "truth.npz")
+    with np.load(tmp_path / "truth.npz") as stored:
+        assert sorted(stored) == ["normal", "point_mm", "status"]
+        np.testing.assert_array_equal(stored["point_mm"], truth.point_mm)
+        assert np.isnan(stored["point_mm"][stored["status"] != 0]).all()
