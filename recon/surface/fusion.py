@@ -11,7 +11,7 @@ from dataclasses import dataclass
 
 import numpy as np
 from jaxtyping import Bool, Float64
-from scipy.ndimage import distance_transform_edt, median_filter, uniform_filter
+from scipy.ndimage import correlate1d, distance_transform_edt, median_filter
 from scipy.sparse import csr_array
 
 from recon.surface.neighbours import Neighbours, components, neighbours_of, normal_equations
@@ -34,6 +34,7 @@ START_WINDOW_PX = 5
 # Standard deviations are estimated from this many draws over this window: good to a tenth.
 SD_DRAWS = 6
 SD_WINDOW_PX = 5
+SD_TOLERANCE = 1e-3
 SD_SEED = 20180601
 
 
@@ -270,15 +271,21 @@ def _standard_deviation(graph: Neighbours, chords: _Chords, system: _System) -> 
     covariance of the answer. The few draws are averaged over a small window, on which an uncertainty is smooth.
     """
     rng = np.random.default_rng(SD_SEED)
-    solve = solver(system.matrix)
+    solve = solver(system.matrix, relative_tolerance=SD_TOLERANCE)
     square = np.zeros(graph.pixels)
     for _ in range(SD_DRAWS):
         per_chord = np.sqrt(system.chord_weight) * rng.standard_normal(len(system.chord_weight))
         per_pixel = np.sqrt(system.own_weight) * rng.standard_normal(graph.pixels)
         square += solve(_gather(graph, chords, per_chord, per_pixel), np.zeros(graph.pixels)) ** 2
-    total = uniform_filter(np.where(graph.mask, np.nan_to_num(graph.on_grid(square)), 0.0), SD_WINDOW_PX)
-    count = uniform_filter(graph.mask.astype(np.float64), SD_WINDOW_PX)
-    return np.sqrt(total[graph.mask] / np.maximum(count[graph.mask], 1e-12) / SD_DRAWS)
+    total = _window_sum(np.where(graph.mask, np.nan_to_num(graph.on_grid(square)), 0.0))
+    count = _window_sum(graph.mask.astype(np.float64))
+    return np.sqrt(total[graph.mask] / count[graph.mask] / SD_DRAWS)
+
+
+def _window_sum(values: ScalarMap) -> ScalarMap:
+    """Sum over a small window, term by term: a running sum would leave large values' rounding on small ones."""
+    box = np.ones(SD_WINDOW_PX)
+    return correlate1d(correlate1d(values, box, axis=0, mode="constant"), box, axis=1, mode="constant")
 
 
 def _position_weights(rays: _Rays, distance: PerPixel) -> _Weights:

@@ -22,11 +22,11 @@ class SolverError(ReconError):
     """The system of equations of a surface could not be solved."""
 
 
-def solver(matrix: csr_array) -> Callable[[Vector, Vector], Vector]:
+def solver(matrix: csr_array, *, relative_tolerance: float = RELATIVE_TOLERANCE) -> Callable[[Vector, Vector], Vector]:
     """Prepare to solve ``matrix @ x = right``; the function returned takes the right side and a first guess.
 
     The matrix is scaled to a unit diagonal, then Ruge–Stüben multigrid preconditions conjugate gradients until the
-    residual is ``RELATIVE_TOLERANCE`` of the right side. Small systems are factorised.
+    residual is ``relative_tolerance`` of the right side. Small systems are factorised.
     """
     if matrix.shape[0] <= DIRECT_UNKNOWNS:
         return _direct(matrix)
@@ -42,7 +42,7 @@ def solver(matrix: csr_array) -> Callable[[Vector, Vector], Vector]:
             scaled,
             scaled_right,
             x0=guess / scale,
-            rtol=RELATIVE_TOLERANCE,
+            rtol=relative_tolerance,
             maxiter=MOST_ITERATIONS,
             M=precondition,
         )
