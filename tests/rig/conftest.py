@@ -1,0 +1,88 @@
+"""A rig small enough to capture within a second: 32 × 32 photos, a display of 32 columns, 8 places a sweep."""
+
+from collections.abc import Callable, Iterator
+from contextlib import AbstractContextManager, contextmanager
+from pathlib import Path
+
+import pytest
+from rich.console import Console
+
+from rig.capture import capture
+from rig.config import RigConfig
+from rig.devices import Devices, Simulation, open_devices, open_world, simulated_devices
+from rig.scene_config import SceneOptions, config_of_scene, open_scene
+from sim_backend.photography import Photographer
+from sim_backend.scene import Scene
+from sim_backend.world import World
+
+TINY = SceneOptions(camera_columns=32, display_columns=32, step_px=4.0)
+TINY_ARGUMENTS = ("--size", "32", "--display-columns", "32", "--step-px", "4")
+
+
+@pytest.fixture(scope="session")
+def tiny_options() -> SceneOptions:
+    return TINY
+
+
+@pytest.fixture(scope="session")
+def tiny_arguments() -> tuple[str, ...]:
+    return TINY_ARGUMENTS
+
+
+@pytest.fixture(scope="session")
+def scene() -> Scene:
+    return open_scene("semi_ellipsoid", TINY)
+
+
+@pytest.fixture(scope="session")
+def thin_scene() -> Scene:
+    return open_scene("thin_cone", TINY)
+
+
+@pytest.fixture(scope="session")
+def config(scene: Scene) -> RigConfig:
+    return config_of_scene(scene, TINY)
+
+
+@pytest.fixture(scope="session")
+def thin_config(thin_scene: Scene) -> RigConfig:
+    return config_of_scene(thin_scene, TINY)
+
+
+@pytest.fixture
+def quiet() -> Console:
+    return Console(quiet=True)
+
+
+Bench = tuple[Devices, World]
+OpenBench = Callable[[RigConfig, Scene], AbstractContextManager[Bench]]
+
+
+@pytest.fixture
+def open_bench() -> OpenBench:
+    """Open simulated devices together with the world that they share, so that a test can look behind them."""
+
+    @contextmanager
+    def opened(config: RigConfig, scene: Scene) -> Iterator[Bench]:
+        with open_world(config, Simulation(scene)) as world:
+            yield simulated_devices(config, world, Photographer(scene)), world
+
+    return opened
+
+
+def photo_bytes(folder: Path) -> dict[str, bytes]:
+    return {path.relative_to(folder).as_posix(): path.read_bytes() for path in folder.glob("photos/**/*.jpg")}
+
+
+@pytest.fixture(scope="session")
+def read_photo_bytes() -> Callable[[Path], dict[str, bytes]]:
+    return photo_bytes
+
+
+@pytest.fixture(scope="session")
+def captured(tmp_path_factory: pytest.TempPathFactory, config: RigConfig, scene: Scene) -> Path:
+    """A whole session, captured once through the simulated devices; not to be written to."""
+    folder = tmp_path_factory.mktemp("captured") / "session"
+    with open_devices(config, simulation=Simulation(scene)) as devices:
+        capture(config, folder, devices=devices, scene=scene, resume=False, console=Console(quiet=True))
+    return folder
