@@ -1,0 +1,71 @@
+"""How fast the simulator traces and photographs: ``python -m tests.bench.photograph_rate`` prints JSON."""
+
+import argparse
+import json
+import os
+import resource
+import time
+from concurrent.futures import ThreadPoolExecutor
+
+import numpy as np
+
+from drivers.protocols import Axis, Frame
+from sim_backend.photography import Photographer
+from sim_backend.scene import Scene, load_scene
+
+
+def stripe(scene: Scene, axis: Axis, place: int) -> Frame:
+    """Return a raised cosine of the scene's width at a device pixel."""
+    count = scene.display.columns if axis == "x" else scene.display.rows
+    distance = np.abs(np.arange(count) - place) / scene.stripe.width_px
+    levels = np.where(distance < 0.5, 0.5 + 0.5 * np.cos(2 * np.pi * distance), 0.0)
+    return Frame(axis, np.round(255 * levels).astype(np.uint8))
+
+
+def measure(scene: Scene, *, photos: int, threads: int) -> dict[str, float]:
+    """Trace all four sets, then time ``photos`` photos with noise and JPEG on ``threads`` threads."""
+    photographer = Photographer(scene)
+    conditions = [{"wet": False}, {"wet": True}]
+    if scene.method == "thin":
+        conditions = [{"wet": False}, {"wet": False, "object_present": False}]
+    started = time.perf_counter()
+    sets = [{"stage_position_mm": place, **condition} for condition in conditions for place in scene.stage_positions_mm]
+    axes: tuple[Axis, Axis] = ("x", "y")
+    for settings in sets:
+        for axis in axes:
+            photographer.photograph(stripe(scene, axis, 0), **settings)
+    traced = time.perf_counter()
+
+    def take(number: int) -> int:
+        axis = axes[number % 2]
+        count = scene.display.columns if axis == "x" else scene.display.rows
+        frame = stripe(scene, axis, number * 7 % count)
+        return len(photographer.photograph(frame, **sets[number * len(sets) // photos]))
+
+    with ThreadPoolExecutor(threads) as pool:
+        size = sum(pool.map(take, range(photos)))
+    done = time.perf_counter()
+    return {
+        "tracing_s": round(traced - started, 2),
+        "photos_per_s": round(photos / (done - traced), 1),
+        "bytes_per_photo": size / photos,
+        "peak_memory_mb": resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1024,
+    }
+
+
+def main() -> None:
+    """Measure one scene at one size."""
+    parser = argparse.ArgumentParser(description=__doc__)
+    parser.add_argument("--scene", default="semi_ellipsoid")
+    parser.add_argument("--camera-columns", type=int, default=1024)
+    parser.add_argument("--display-columns", type=int, default=1024)
+    parser.add_argument("--photos", type=int, default=400)
+    parser.add_argument("--threads", type=int, default=os.cpu_count())
+    given = parser.parse_args()
+    scene = load_scene(given.scene).resized(camera_columns=given.camera_columns, display_columns=given.display_columns)
+    result = measure(scene, photos=given.photos, threads=given.threads)
+    print(json.dumps({**vars(given), **result}, indent=2))  # noqa: T201 - the program's result
+
+
+if __name__ == "__main__":
+    main()
