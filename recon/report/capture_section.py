@@ -7,7 +7,7 @@ import numpy as np
 
 from recon.metrics import Metrics, PhotoQuality, SampleCurve
 from recon.report.charts import Scale, area_path, line_path, round_up
-from recon.report.numbers import number
+from recon.report.numbers import Real, number
 from recon.report.panel import Panel, Section, Table
 
 CURVES_SHOWN = 24
@@ -77,7 +77,7 @@ def curves_panel(curves: Sequence[SampleCurve]) -> Panel:
     )
 
 
-def level(value: float) -> str:
+def level(value: Real) -> str:
     """Write a brightness: whole counts stay whole."""
     return number(int(value)) if float(value).is_integer() else number(value)
 

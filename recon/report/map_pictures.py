@@ -89,7 +89,7 @@ def window_around(wanted: Bool[np.ndarray, "rows cols"], *, longest_px: int) -> 
     return Window(*bounds, step=max(1, -(-longest // longest_px)))
 
 
-def limits(values: Float[np.ndarray, "rows cols"], *, symmetric: bool = False) -> tuple[float, float]:
+def limits(values: Float[np.ndarray, "*grid"], *, symmetric: bool = False) -> tuple[float, float]:
     """Return the colour limits: the 1st and 99th percentile, or a range about zero that holds 98 %."""
     finite = values[np.isfinite(values)].astype(np.float64)
     if symmetric:

@@ -3,6 +3,8 @@
 import math
 from dataclasses import dataclass
 
+# Counts come as int and measures as float; both are written by the same functions.
+Real = int | float
 NOTHING = "—"
 SUPERSCRIPT = str.maketrans("-0123456789", "⁻⁰¹²³⁴⁵⁶⁷⁸⁹")
 
@@ -24,7 +26,7 @@ class LengthUnit:
         return unit if self.physical else " ".join(self.label if word == "mm" else word for word in unit.split())
 
 
-def number(value: float | None, digits: int = 3) -> str:
+def number(value: Real | None, digits: int = 3) -> str:
     """Write a number with ``digits`` significant digits, and whole numbers in full.
 
     Examples
@@ -46,7 +48,7 @@ def number(value: float | None, digits: int = 3) -> str:
     return f"{rounded:,.{max(0, digits - 1 - exponent)}f}".replace("-", "−")
 
 
-def share(part: float, whole: float) -> str:
+def share(part: Real, whole: Real) -> str:
     """Write a part of a whole in per cent; only everything is 100 %, and only nothing is 0 %.
 
     Examples
@@ -64,7 +66,7 @@ def share(part: float, whole: float) -> str:
     return f"{number(float(percent))} %"
 
 
-def duration(seconds: float) -> str:
+def duration(seconds: Real) -> str:
     """Write a duration in the largest units that matter.
 
     Examples
@@ -82,7 +84,7 @@ def duration(seconds: float) -> str:
     return f"{minutes} min {rest:02d} s" if minutes < 60 else f"{minutes // 60} h {minutes % 60:02d} min"
 
 
-def memory(megabytes: float) -> str:
+def memory(megabytes: Real) -> str:
     """Write an amount of memory in MB or GB.
 
     Examples

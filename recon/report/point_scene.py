@@ -95,7 +95,7 @@ def sd_at(vertex_mm: Float64[np.ndarray, "vertices 3"], cloud: Cloud) -> Float[n
 
 
 def packed_normals(normal: Float64[np.ndarray, "points 3"]) -> Int8[np.ndarray, "points 2"]:
-    """Return unit normals as two signed bytes: the octahedral map (Cigolle et al., JCGT 2014), about half a degree fine."""
+    """Return unit normals as two signed bytes: the octahedral map (Cigolle et al., JCGT 2014), right within a degree."""
     known = np.nan_to_num(normal)
     size = np.abs(known).sum(axis=1, keepdims=True)
     flat = known / np.where(size > 0, size, 1.0)

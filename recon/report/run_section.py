@@ -77,10 +77,12 @@ def flatten(values: Mapping[str, object], prefix: str = "") -> list[tuple[str, s
     return rows
 
 
-def _table_panel(id: str, title: str, headings: tuple[str, ...], rows: list[tuple[str, str]], none: str) -> Panel:
+def _table_panel(
+    id: str, title: str, headings: tuple[str, ...], rows: list[tuple[str, str]], none: str, *, wide: bool = False
+) -> Panel:
     """Return a plain table of names and values."""
     data = {"table": Table(headings, tuple(rows))}
-    return Panel(id, title, "table.html.j2", data, missing="" if rows else none, wide=False)
+    return Panel(id, title, "table.html.j2", data, missing="" if rows else none, wide=wide)
 
 
 def stages_panel(metrics: Metrics) -> Panel:
@@ -136,6 +138,7 @@ def run_section(metrics: Metrics, manifest: Manifest) -> Section:
                 ("Input", "Hash"),
                 list(metrics.hashes.items()),
                 "The run recorded no hashes.",
+                wide=True,
             ),
         ),
         "Enough to repeat the run and to check that the same files went in.",

@@ -61,9 +61,34 @@ def write_report(
     ReconError
         When the file cannot be written, in one sentence.
     """
+    unit = LengthUnit.of(manifest.length_unit)
+    triangles = None
+    if mesh is not None:
+        triangles = TriangleMesh(mesh[0].astype(np.float64), mesh[1].astype(np.int64), mesh[2].astype(np.float64))
+    before = (
+        warnings_section(metrics),
+        surface_section(maps, manifest, triangles, unit=unit),
+        result_section(metrics, unit=unit, evaluation=evaluation),
+    )
+    after = (
+        capture_section(metrics),
+        setup_section(manifest, maps, unit=unit),
+        run_section(metrics, manifest),
+        methods_section(manifest, metrics, unit=unit),
+    )
     page = ""
     for longest_px in LONGEST_PX:
-        page = report_page(maps, metrics, manifest, mesh, evaluation, longest_px=longest_px)
+        pictures = map_section(maps, manifest, unit=unit, longest_px=longest_px)
+        page = render_page(
+            metrics.session,
+            kind="Reconstruction report",
+            subtitle=subtitle(metrics, manifest),
+            sections=(*before, pictures, *after),
+            banners=(*device_banners(manifest), *unit_banners(unit)),
+            verdict=metrics.verdict,
+            tiles=tiles(maps, metrics, unit),
+            scripts=("page.js", "viewer.js"),
+        )
         if len(page.encode()) < LIMIT_BYTES:
             break
     path = out_dir / REPORT_NAME
@@ -72,44 +97,6 @@ def write_report(
     except OSError as error:
         raise ReconError(f"{path}: the report cannot be written ({error.strerror})") from error
     return path
-
-
-def report_page(
-    maps: Maps,
-    metrics: Metrics,
-    manifest: Manifest,
-    mesh: Mesh | None,
-    evaluation: Sequence[Mapping[str, object]],
-    *,
-    longest_px: int,
-) -> str:
-    """Return the page as text; ``longest_px`` bounds the samples along the longer side of each map."""
-    unit = LengthUnit.of(manifest.length_unit)
-    triangles = (
-        None
-        if mesh is None
-        else TriangleMesh(mesh[0].astype(np.float64), mesh[1].astype(np.int64), mesh[2].astype(np.float64))
-    )
-    sections = (
-        warnings_section(metrics),
-        surface_section(maps, manifest, triangles, unit=unit),
-        result_section(metrics, unit=unit, evaluation=evaluation),
-        map_section(maps, manifest, unit=unit, longest_px=longest_px),
-        capture_section(metrics),
-        setup_section(manifest, maps, unit=unit),
-        run_section(metrics, manifest),
-        methods_section(manifest, metrics, unit=unit),
-    )
-    return render_page(
-        metrics.session,
-        kind="Reconstruction report",
-        subtitle=subtitle(metrics, manifest),
-        sections=sections,
-        banners=(*device_banners(manifest), *unit_banners(unit)),
-        verdict=metrics.verdict,
-        tiles=tiles(maps, metrics, unit),
-        scripts=("page.js", "viewer.js"),
-    )
 
 
 def subtitle(metrics: Metrics, manifest: Manifest) -> str:
