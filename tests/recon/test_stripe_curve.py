@@ -1,0 +1,183 @@
+"""The intensity curve of a pixel: its model, the running peak, and the two ways to find its centre."""
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from hypothesis.extra import numpy as hnp
+from scipy.integrate import quad
+
+from recon.manifest import StripePattern
+from recon.noise import NoiseModel, dark_variance, noise_from_residuals
+from recon.patterns import stripe_profile
+from recon.stripe_fit import fit_stripe
+from recon.stripe_model import footprint_average
+from recon.stripe_peak import NO_PEAK, PeakTracker, PeakWindows, parabola_offset
+
+COSINE = StripePattern(profile="raised_cosine", width_px=6.0, first_px=0.0, step_px=1.0, count=64)
+HARD = StripePattern(profile="hard", width_px=1.0, first_px=0.0, step_px=1.0, count=64)
+
+
+def averaged_by_quadrature(x: float, a: float, b: float, pattern: StripePattern) -> float:
+    """Average the profile over the convolution of two boxes, by nested numerical integration."""
+
+    def over_b(shift: float) -> float:
+        def profile(t: float) -> float:
+            return float(stripe_profile(np.array([x + shift + t]), pattern)[0])
+
+        edges = [e for e in (pattern.width_px / 2 - x - shift, -pattern.width_px / 2 - x - shift) if abs(e) < b / 2]
+        return float(quad(profile, -b / 2, b / 2, points=edges or None, limit=200)[0]) / b
+
+    return float(quad(over_b, -a / 2, a / 2, limit=200)[0]) / a
+
+
+@pytest.mark.parametrize("pattern", [COSINE, HARD])
+@pytest.mark.parametrize(("x", "a", "b"), [(0.0, 0.5, 0.3), (0.7, 0.9, 0.4), (2.9, 1.5, 2.2), (-0.55, 0.2, 0.2)])
+def test_the_model_is_the_profile_averaged_over_the_footprint(
+    pattern: StripePattern, x: float, a: float, b: float
+) -> None:
+    value, _ = footprint_average(np.array([[x]]), np.array([a]), np.array([b]), pattern)
+    assert value[0, 0] == pytest.approx(averaged_by_quadrature(x, a, b, pattern), abs=2e-5)
+
+
+@pytest.mark.parametrize("pattern", [COSINE, HARD])
+def test_the_slope_is_the_derivative_of_the_model(pattern: StripePattern) -> None:
+    x = np.linspace(-5, 5, 101)[None, :]
+    a, b, h = np.array([0.8]), np.array([0.3]), 1e-5
+    _, slope = footprint_average(x, a, b, pattern)
+    above, _ = footprint_average(x + h, a, b, pattern)
+    below, _ = footprint_average(x - h, a, b, pattern)
+    np.testing.assert_allclose(slope, (above - below) / (2 * h), atol=1e-4)
+
+
+@settings(max_examples=60, deadline=None)
+@given(
+    hnp.arrays(np.uint8, st.tuples(st.integers(3, 12), st.just(3), st.just(4)), elements=st.integers(0, 60)),
+    st.integers(1, 4),
+)
+def test_streaming_finds_the_brightest_sample_of_the_whole_stack(stack: np.ndarray, half_width: int) -> None:
+    floor = np.full(stack.shape[1:], 20, np.uint8)
+    tracker = PeakTracker(floor, half_width=half_width)
+    for photo in stack:
+        tracker.feed(photo.copy())
+    windows = tracker.finish()
+    expected = np.where(stack.max(axis=0) > floor, stack.argmax(axis=0), NO_PEAK).ravel()
+    np.testing.assert_array_equal(windows.peak_index, expected)
+    columns = stack.reshape(len(stack), -1)
+    for pixel, index in enumerate(expected):
+        for column in range(-half_width, half_width + 1):
+            if index != NO_PEAK and 0 <= index + column < len(stack):
+                assert windows.samples[pixel, half_width + column] == columns[index + column, pixel]
+
+
+def test_a_parabola_is_exact_for_a_parabola() -> None:
+    centre = np.array([-0.4, 0.0, 0.3])
+    samples = [100 - 5 * (k - centre) ** 2 for k in (-1.0, 0.0, 1.0)]
+    np.testing.assert_allclose(parabola_offset(*samples), centre, atol=1e-12)
+
+
+def curves(
+    centre: np.ndarray,
+    pattern: StripePattern,
+    rng: np.random.Generator,
+    *,
+    footprint_px: tuple[float, float],
+    amplitude: float = 200.0,
+    black: float = 5.0,
+    read_sd: float = 1.0,
+) -> tuple[PeakWindows, np.ndarray]:
+    """Make noisy windows about known centres; the profile's average is taken by brute-force sampling of the footprint."""
+    half_width = 6
+    index = np.rint(centre).astype(np.int32)
+    place = index[:, None] + np.arange(-half_width, half_width + 1)
+    u = (np.arange(32) + 0.5) / 32 - 0.5
+    spread = (u[:, None] * footprint_px[0] + u[None, :] * footprint_px[1]).ravel()
+    signal = np.zeros(place.shape)
+    for shift in spread:
+        offset = place - centre[:, None] + shift
+        signal += stripe_profile(offset.ravel(), pattern).reshape(offset.shape) / len(spread)
+    counts = black + amplitude * signal + rng.normal(0.0, read_sd, signal.shape)
+    windows = PeakWindows(index, np.clip(np.rint(counts * 16), 0, 65535).astype(np.uint16), half_width, 64)
+    return windows, np.full(len(centre), black * 16)
+
+
+def fitted(
+    windows: PeakWindows, black: np.ndarray, pattern: StripePattern, widths: tuple[float, float], noise: NoiseModel
+):
+    pixels = np.arange(len(windows.peak_index), dtype=np.int64)
+    return fit_stripe(
+        windows,
+        pixels,
+        windows.peak_index.astype(np.float64),
+        np.tile(np.array(widths), (len(pixels), 1)),
+        black=black,
+        pattern=pattern,
+        noise=noise,
+        clipped=65534,
+    )
+
+
+def test_errors_of_the_fit_are_those_it_states() -> None:
+    rng = np.random.default_rng(1)
+    centre = rng.uniform(20, 40, 4000)
+    windows, black = curves(centre, COSINE, rng, footprint_px=(0.7, 0.4))
+    fit = fitted(windows, black, COSINE, (0.7, 0.4), NoiseModel(16.0**2))
+    normalised = (fit.place_px - centre) / fit.sd_px
+    # 4000 samples: the sd of an rms is 1/sqrt(8000), of a mean 1/sqrt(4000); four of them.
+    # Birge's ratio can only widen an sd, by 6 % on average for 11 degrees of freedom.
+    assert 0.90 < np.sqrt((normalised**2).mean()) < 1.05
+    assert abs(normalised.mean()) < 4 / np.sqrt(4000)
+
+
+def test_the_parabola_is_biased_where_the_fit_is_not() -> None:
+    rng = np.random.default_rng(2)
+    centre = np.full(2000, 30.25)
+    windows, black = curves(centre, HARD, rng, footprint_px=(0.9, 0.5))
+    fit = fitted(windows, black, HARD, (0.9, 0.5), NoiseModel(16.0**2))
+    middle = windows.samples[:, 5:8].astype(np.float64)
+    parabola = windows.peak_index + parabola_offset(middle[:, 0], middle[:, 1], middle[:, 2])
+    assert abs(parabola.mean() - 30.25) > 0.05
+    assert abs(fit.place_px.mean() - 30.25) < 0.005
+
+
+def test_a_stripe_seen_in_one_photo_alone_is_known_to_an_interval() -> None:
+    rng = np.random.default_rng(3)
+    centre = rng.uniform(29.9, 30.1, 500)
+    windows, black = curves(centre, HARD, rng, footprint_px=(0.2, 0.1), read_sd=0.3)
+    fit = fitted(windows, black, HARD, (0.2, 0.1), NoiseModel((0.3 * 16) ** 2))
+    # The footprint is 0.3 px from end to end, so the stripe may be centred anywhere within ±0.35 px: sd 0.7/sqrt(12) = 0.20.
+    assert np.median(fit.sd_px) == pytest.approx(0.7 / np.sqrt(12), rel=0.15)
+    assert np.median(np.abs(fit.place_px - 30.0)) < 0.03
+
+
+def test_clipped_samples_are_left_out_rather_than_fitted_through() -> None:
+    rng = np.random.default_rng(4)
+    centre = rng.uniform(20, 40, 1000)
+    windows, black = curves(centre, COSINE, rng, footprint_px=(0.7, 0.4))
+    ceiling = 150 * 16
+    clipped = PeakWindows(windows.peak_index, np.minimum(windows.samples, ceiling), windows.half_width, 64)
+    pixels = np.arange(1000, dtype=np.int64)
+    start = windows.peak_index.astype(np.float64)
+    widths = np.tile([0.7, 0.4], (1000, 1))
+    settings_ = {"black": black, "pattern": COSINE, "noise": NoiseModel(256.0)}
+    kept_out = fit_stripe(clipped, pixels, start, widths, clipped=ceiling, **settings_)
+    through = fit_stripe(clipped, pixels, start, widths, clipped=65534, **settings_)
+    error = np.sqrt(((kept_out.place_px - centre) ** 2).mean())
+    assert error < 2 * np.median(kept_out.sd_px)
+    assert error < np.sqrt(((through.place_px - centre) ** 2).mean())
+
+
+def test_dark_noise_is_read_from_two_photos_with_the_stripe_elsewhere() -> None:
+    rng = np.random.default_rng(5)
+    first, second = (np.rint(rng.normal(12, 2.0, (200, 200))).astype(np.uint8) for _ in range(2))
+    first[:, :6] = 200
+    # Variance of rounded Gaussian noise: 4 + 1/12. 40000 samples: relative sd of a variance 0.7 %.
+    assert dark_variance(first, second) == pytest.approx(4 + 1 / 12, rel=0.03)
+
+
+def test_the_photon_transfer_curve_is_found_from_residuals() -> None:
+    rng = np.random.default_rng(6)
+    signal = rng.uniform(0.5, 220, 200_000)
+    residual = rng.normal(0, np.sqrt(0.4 + 0.05 * signal + (0.01 * signal) ** 2))
+    noise = noise_from_residuals(signal, residual, read_variance=0.4, freedom_share=1.0)
+    assert noise.variance(np.array([20.0, 100.0, 200.0])) == pytest.approx([1.44, 6.4, 14.4], rel=0.05)
