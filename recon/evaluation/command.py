@@ -1,0 +1,135 @@
+"""The ``recon evaluate`` command: parse, evaluate, print one table a run."""
+
+import math
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Annotated
+
+import typer
+from rich.console import Console
+from rich.table import Table
+
+from recon.errors import ReconError
+from recon.evaluation.evaluate import EVALUATION_NAME, MOST_FACETS, EvaluationResult, evaluate, save_evaluation
+from recon.evaluation.plane import THRESHOLD_MM
+from recon.evaluation.published import CITATION, Primitive
+from recon.evaluation.table import KnownSize, Row
+from recon.maps import MAPS_NAME
+
+
+def register(app: typer.Typer) -> None:
+    """Add ``evaluate`` to the ``recon`` command."""
+    app.command("evaluate")(evaluate_command)
+
+
+def evaluate_command(
+    folder: Annotated[Path, typer.Argument(metavar="RUN", help="Results of `recon run`, or a session with results.")],
+    primitive: Annotated[Primitive | None, typer.Option(help="Shape to fit to the points.")] = None,
+    truth: Annotated[
+        Path | None, typer.Option(help="Truth file, or a simulated session. [default: that of the run's session]")
+    ] = None,
+    ellipsoid: Annotated[
+        str | None, typer.Option(metavar="A,B,C", help="Semi-axes of a known ellipsoid about the origin, in mm.")
+    ] = None,
+    known_radius: Annotated[
+        float | None, typer.Option(min=0.0, help="The object's radius by other means, in mm.")
+    ] = None,
+    known_height: Annotated[
+        float | None, typer.Option(min=0.0, help="The object's height by other means, in mm.")
+    ] = None,
+    facets: Annotated[int, typer.Option(min=1, help="Planes: how many facets to look for.")] = MOST_FACETS,
+    threshold: Annotated[
+        float, typer.Option(min=1e-9, help="Planes and cylinder: largest distance of an inlier, in mm.")
+    ] = THRESHOLD_MM,
+    seed: Annotated[int, typer.Option(min=0, help="Start of the fits' random draws.")] = 0,
+) -> None:
+    """Compare results with truth or with a fitted shape, beside the published figures; writes evaluation.json."""
+    console = Console(markup=False, highlight=False)
+    for run_folder in run_folders(folder):
+        result = evaluate(
+            run_folder,
+            primitive=primitive,
+            truth=truth,
+            ellipsoid_mm=None if ellipsoid is None else semi_axes_mm(ellipsoid),
+            known=KnownSize(known_radius or None, known_height or None),
+            most_facets=facets,
+            threshold_mm=threshold,
+            seed=seed,
+        )
+        save_evaluation(result, run_folder / EVALUATION_NAME)
+        console.print(evaluation_table(result))
+
+
+def run_folders(folder: Path) -> list[Path]:
+    """Return the folder itself if it holds results, else the result folders directly inside it."""
+    if (folder / MAPS_NAME).exists() or not folder.is_dir():
+        return [folder]
+    inside = sorted(path.parent for path in folder.glob(f"*/{MAPS_NAME}"))
+    return inside or [folder]
+
+
+def semi_axes_mm(text: str) -> tuple[float, float, float]:
+    """Parse three positive numbers with commas between them.
+
+    Examples
+    --------
+    >>> semi_axes_mm("12.5, 12.5, 5")
+    (12.5, 12.5, 5.0)
+    """
+    try:
+        a, b, c = (float(part) for part in text.split(","))
+    except ValueError:
+        raise ReconError(
+            f"--ellipsoid {text}: three numbers with commas between them wanted, like 12.5,12.5,5"
+        ) from None
+    if not all(math.isfinite(axis) and axis > 0 for axis in (a, b, c)):
+        raise ReconError(f"--ellipsoid {text}: the semi-axes must be positive")
+    return a, b, c
+
+
+def evaluation_table(result: EvaluationResult) -> Table:
+    """Lay the figures out for the terminal; the published column appears where there is something in it."""
+    beside = any(row.published for row in result.rows)
+    table = Table(
+        title=f"{result.run} (method {result.method})",
+        caption=f"published: {CITATION}" if beside else None,
+        title_justify="left",
+        caption_justify="left",
+    )
+    table.add_column("of")
+    table.add_column("quantity")
+    table.add_column("ours", justify="right")
+    if beside:
+        table.add_column("published", justify="right")
+    table.add_column("unit")
+    for before, row in zip([None, *result.rows], result.rows, strict=False):
+        if before is not None and before.of != row.of:
+            table.add_section()
+        table.add_row(*_cells(row, repeated=before is not None and before.of == row.of, beside=beside))
+    return table
+
+
+def _cells(row: Row, *, repeated: bool, beside: bool) -> Iterator[str]:
+    yield "" if repeated else row.of
+    yield row.quantity
+    yield figure(row.ours)
+    if beside:
+        yield "" if row.published is None else _range(*row.published)
+    yield row.unit
+
+
+def _range(low: float, high: float) -> str:
+    return figure(low) if low == high else f"{figure(low)} … {figure(high)}"
+
+
+def figure(value: float | int) -> str:
+    """Write four significant digits, whole numbers in full.
+
+    Examples
+    --------
+    >>> figure(1115748.0), figure(0.031415926), figure(float("nan"))
+    ('1,115,748', '0.03142', 'none')
+    """
+    if math.isnan(value):
+        return "none"
+    return f"{value:,.0f}" if value == round(value) and abs(value) >= 1 else f"{value:.4g}"
