@@ -2,8 +2,10 @@
 
 import threading
 from collections import OrderedDict
-from collections.abc import Callable
+from collections.abc import Callable, Iterable
 from dataclasses import dataclass, field
+from functools import reduce
+from operator import add
 from typing import Any
 
 import numpy as np
@@ -12,7 +14,7 @@ from jaxtyping import Float32, Float64
 
 from drivers.protocols import Frame
 from sim_backend.footprint import axis_matrix, image_light, light_of, patch_matrix
-from sim_backend.light_paths import ScreenMap, on_panel, screen_map, trace_sub_rays
+from sim_backend.light_paths import ScreenMap, SubRays, on_panel, screen_map, trace_sub_rays
 from sim_backend.scene import Scene
 from sim_backend.sensor import blur, frame_key, grey_levels, jpeg_bytes, noisy_grey
 from sim_backend.truth import Truth, compute_truth, save_truth
@@ -30,9 +32,12 @@ MANY_COLUMNS = 1 / 8
 
 @dataclass(slots=True, eq=False)
 class View:
-    """The display at one place, seen through one world, with the matrices made so far."""
+    """The display at one place, seen through one world, with the matrices made so far.
 
-    places: ScreenMap
+    ``colours`` holds for each colour of the light its weight and where its rays meet the display.
+    """
+
+    colours: tuple[tuple[float, ScreenMap], ...]
     axes: dict[str, sp.csc_matrix] = field(default_factory=dict)
     patches: dict[tuple[int, int, int, int], sp.csr_matrix] = field(default_factory=dict)
 
@@ -65,16 +70,17 @@ class Photographer:
         self, *, stage_position_mm: float, wet: bool, object_present: bool = True
     ) -> Float64[np.ndarray, "rows columns 2"]:
         """Return the mean device pixel (column, row) that each camera pixel sees, weighted by light; NaN where unlit."""
-        places = self._view(stage_position_mm, wet, object_present).places
-        lit = on_panel(self.scene, places.column_px, places.row_px)
-        weight = np.where(lit, places.transmission.astype(np.float64), 0.0)
-        total = self._pixel_sums(weight)
+        camera = self.scene.camera
+        total = np.zeros((camera.rows, camera.columns))
+        moment = np.zeros((camera.rows, camera.columns, 2))
+        for share, places in self._view(stage_position_mm, wet, object_present).colours:
+            lit = on_panel(self.scene, places.column_px, places.row_px)
+            weight = np.where(lit, share * places.transmission.astype(np.float64), 0.0)
+            total += self._pixel_sums(weight)
+            for number, place in enumerate((places.column_px, places.row_px)):
+                moment[..., number] += self._pixel_sums(np.where(lit, weight * place, 0.0))
         with np.errstate(invalid="ignore", divide="ignore"):
-            means = [
-                self._pixel_sums(np.where(lit, weight * place, 0.0)) / total
-                for place in (places.column_px, places.row_px)
-            ]
-        return np.stack(means, axis=2)
+            return moment / total[..., None]
 
     def truth(self) -> Truth:
         """Return the true point and normal behind the centre of each pixel."""
@@ -88,15 +94,19 @@ class Photographer:
         key = (float(stage_position_mm), wet, object_present)
         with self._lock:
             if key not in self._views:
-                through = (wet, object_present)
-                if through not in self._rays:
-                    world = self.scene.world(wet=wet, object_present=object_present)
-                    self._rays[through] = trace_sub_rays(self.scene, world)
-                self._views[key] = View(screen_map(self.scene, self._rays[through], key[0]))
+                rays = self._made(self._rays, (wet, object_present), lambda: self._trace(wet, object_present))
+                self._views[key] = View(tuple((weight, screen_map(self.scene, each, key[0])) for weight, each in rays))
                 while len(self._views) > VIEWS_KEPT:
                     self._views.popitem(last=False)
             self._views.move_to_end(key)
             return self._views[key]
+
+    def _trace(self, wet: bool, object_present: bool) -> tuple[tuple[float, SubRays], ...]:
+        worlds = [
+            (line.weight, self.scene.world(wet=wet, object_present=object_present, line=line))
+            for line in self.scene.spectrum()
+        ]
+        return tuple((weight, trace_sub_rays(self.scene, world)) for weight, world in worlds)
 
     def _made(self, store: dict[Any, Any], key: object, make: Callable[[], Any]) -> Any:
         if key not in store:
@@ -111,12 +121,18 @@ class Photographer:
         return self._made(
             view.axes,
             axis,
-            lambda: axis_matrix(
-                view.places,
-                axis,
-                supersampling=self.scene.camera.supersampling,
-                device_px=along,
-                across_px=across,
+            lambda: _weighted_sum(
+                (
+                    weight,
+                    axis_matrix(
+                        places,
+                        axis,
+                        supersampling=self.scene.camera.supersampling,
+                        device_px=along,
+                        across_px=across,
+                    ),
+                )
+                for weight, places in view.colours
             ),
         )
 
@@ -182,23 +198,36 @@ class Photographer:
         matrix = self._made(
             view.patches,
             (left, top, right, bottom),
-            lambda: patch_matrix(
-                view.places,
-                column=left,
-                row=top,
-                columns=right - left,
-                rows=bottom - top,
-                supersampling=self.scene.camera.supersampling,
+            lambda: _weighted_sum(
+                (
+                    weight,
+                    patch_matrix(
+                        places,
+                        column=left,
+                        row=top,
+                        columns=right - left,
+                        rows=bottom - top,
+                        supersampling=self.scene.camera.supersampling,
+                    ),
+                )
+                for weight, places in view.colours
             ),
         )
         return matrix @ (light_of(shown, gamma) - light_of(under, gamma)).ravel()
 
     def _image_light(self, view: View, frame: Frame) -> Values:
         assert frame.image is not None  # checked on entry
-        shown = _with_patches(frame.image, frame, 0, 0)
-        return image_light(
-            view.places, light_of(shown, self.scene.display.gamma), supersampling=self.scene.camera.supersampling
-        )
+        light = light_of(_with_patches(frame.image, frame, 0, 0), self.scene.display.gamma)
+        total = np.zeros((self.scene.camera.rows, self.scene.camera.columns), np.float32)
+        for weight, places in view.colours:
+            gathered = image_light(places, light, supersampling=self.scene.camera.supersampling)
+            total += np.float32(weight) * gathered
+        return total
+
+
+def _weighted_sum(parts: Iterable[tuple[float, Any]]) -> Any:
+    """Add sparse matrices of the colours, each with its weight."""
+    return reduce(add, (matrix if weight == 1 else matrix * np.float32(weight) for weight, matrix in parts))
 
 
 def _with_patches(under: np.ndarray, frame: Frame, left: int, top: int) -> np.ndarray:

@@ -6,6 +6,7 @@ any file of the same shape is a scene too.
 """
 
 import tomllib
+from dataclasses import dataclass, replace
 from importlib import resources
 from pathlib import Path
 from typing import Annotated, Literal
@@ -13,6 +14,7 @@ from typing import Annotated, Literal
 import numpy as np
 from pydantic import BaseModel, ConfigDict, Field, ValidationError, model_validator
 
+from sim_backend.optics.media import GLASSES, GREY_WEIGHT, PRIMARY_NM, IndexVariation, sellmeier_index, water_index
 from sim_backend.optics.screen import ScreenPose
 from sim_backend.optics.shapes import half_space
 from sim_backend.optics.tracer import Body, OpticalWorld
@@ -52,6 +54,7 @@ class SceneDisplay(ScenePart):
     rows: Count
     pitch_mm: Positive
     gamma: Positive = 1.0
+    primary: Literal["white", "red", "green", "blue"] = "white"
     cover_glass: SceneGlass | None = None
     centre_mm: Vector = (0.0, 0.0, 0.0)
     x_axis: Vector = (1.0, 0.0, 0.0)
@@ -106,15 +109,39 @@ class SuggestedStripe(ScenePart):
     step_px: Positive = 1.0
 
 
+class SceneVariation(ScenePart):
+    """Glass whose index varies with place: n_object + axial_per_mm · z + radial_per_mm2 · (x² + y²)."""
+
+    axial_per_mm: Finite = 0.0
+    radial_per_mm2: Finite = 0.0
+    step_mm: Positive = 0.1
+
+
+@dataclass(frozen=True, slots=True)
+class SpectralLine:
+    """One colour of the display's light: its share of a grey photo, and the indices it meets."""
+
+    weight: float
+    n_object: float
+    n_liquid: float | None
+
+
 class Scene(ScenePart):
-    """Everything the simulator needs to know; see the module's docstring for frame and units."""
+    """Everything the simulator needs to know; see the module's docstring for frame and units.
+
+    ``glass`` names a glass of :mod:`sim_backend.optics.media` and makes the scene disperse light: ``n_object`` is then the
+    glass's index at the display's primary (green, for a white display), water has the index of each colour too, and a
+    white display sends three colours on paths of their own. Without ``glass`` light has one colour.
+    """
 
     name: str
     note: str = ""
     method: Literal["liquid", "thin"]
     length_unit: Literal["mm", "scene unit"] = "mm"
     specimen: Specimen
+    glass: str | None = None
     n_object: Index
+    index_variation: SceneVariation | None = None
     n_air: Index = 1.0
     n_liquid: Index | None = None
     liquid: str = "water"
@@ -126,6 +153,25 @@ class Scene(ScenePart):
     tank: Tank = Tank()
     stripe: SuggestedStripe = SuggestedStripe()
     seed: Annotated[int, Field(ge=0)] = 1
+
+    @model_validator(mode="before")
+    @classmethod
+    def _index_of_the_glass(cls, given: object) -> object:
+        """Fill in the indices that follow from the glass and the colour."""
+        if not isinstance(given, dict) or given.get("glass") is None:
+            return given
+        if given["glass"] not in GLASSES:
+            raise ValueError(f"glass {given['glass']!r} is not one of {', '.join(GLASSES)}")
+        panel = given.get("display")
+        primary = panel.get("primary", "white") if isinstance(panel, dict) else getattr(panel, "primary", "white")
+        wavelength_nm = PRIMARY_NM.get(primary, PRIMARY_NM["green"])
+        filled = {"n_object": sellmeier_index(given["glass"], wavelength_nm)}
+        if given.get("method") == "liquid" and given.get("liquid", "water") == "water":
+            filled["n_liquid"] = water_index(wavelength_nm)
+        for name, value in filled.items():
+            if abs(given.get(name, value) - value) > 1e-9:
+                raise ValueError(f"{name} follows from glass {given['glass']!r} and the primary; leave one of them out")
+        return {**given, **filled}
 
     @model_validator(mode="after")
     def _liquid_is_described(self) -> "Scene":
@@ -150,17 +196,40 @@ class Scene(ScenePart):
         centre = np.array(panel.centre_mm) + stage_position_mm * np.array(panel.stage_direction)
         return ScreenPose(centre, np.array(panel.x_axis), np.array(panel.y_axis))
 
-    def world(self, *, wet: bool, object_present: bool = True) -> OpticalWorld:
-        """Return the bodies that light meets: liquid if ``wet``, then the object."""
+    def spectrum(self) -> tuple[SpectralLine, ...]:
+        """Return the colours that a photo adds up; their weights sum to 1."""
+        if self.glass is None or self.display.primary != "white":
+            return (SpectralLine(1.0, self.n_object, self.n_liquid),)
+        lines = []
+        for primary, wavelength_nm in PRIMARY_NM.items():
+            disperses = self.liquid == "water" and self.n_liquid is not None
+            n_liquid = water_index(wavelength_nm) if disperses else self.n_liquid
+            lines.append(SpectralLine(GREY_WEIGHT[primary], sellmeier_index(self.glass, wavelength_nm), n_liquid))
+        return tuple(lines)
+
+    def world(self, *, wet: bool, object_present: bool = True, line: SpectralLine | None = None) -> OpticalWorld:
+        """Return the bodies that light of one colour meets: liquid if ``wet``, then the object.
+
+        Without ``line``, the light is that of ``n_object`` and ``n_liquid``.
+        """
+        colour = line or SpectralLine(1.0, self.n_object, self.n_liquid)
         bodies: tuple[Body, ...] = ()
         if wet:
-            if self.n_liquid is None or self.liquid_level_mm is None:
+            if colour.n_liquid is None or self.liquid_level_mm is None:
                 raise SceneError(f"scene {self.name!r} has no liquid, so it cannot be photographed wet")
             surface = half_space((0, 0, self.liquid_level_mm), (0, 0, -1))
-            bodies += (Body(surface, self.n_liquid, of_object=False),)
+            bodies += (Body(surface, colour.n_liquid, of_object=False),)
         if object_present:
-            bodies += self.specimen.bodies(n_object=self.n_object, n_air=self.n_air)
+            bodies += self._pieces(colour.n_object)
         return OpticalWorld(bodies, self.n_air)
+
+    def _pieces(self, n_object: float) -> tuple[Body, ...]:
+        """Return the object's bodies; those that are not full of air vary if the scene's glass does."""
+        pieces = self.specimen.bodies(n_object=n_object, n_air=self.n_air)
+        if self.index_variation is None:
+            return pieces
+        variation = IndexVariation(**self.index_variation.model_dump())
+        return tuple(replace(piece, variation=variation) if piece.n == n_object else piece for piece in pieces)
 
     def resized(self, *, camera_columns: int | None = None, display_columns: int | None = None) -> "Scene":
         """Return the same scene with more or fewer pixels over the same field and the same panel."""

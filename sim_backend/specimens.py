@@ -8,7 +8,8 @@ from typing import Annotated, Literal
 import numpy as np
 from pydantic import BaseModel, ConfigDict, Field
 
-from sim_backend.optics.shapes import cone, cylinder, ellipsoid, half_space, slab, sphere
+from sim_backend.optics.relief import Relief, Rings, Scales
+from sim_backend.optics.shapes import cone, cylinder, ellipsoid, elliptic_cylinder, half_space, slab, sphere
 from sim_backend.optics.solids import Solid, difference, intersection, union
 from sim_backend.optics.tracer import Body
 
@@ -134,6 +135,51 @@ class Bottle(SpecimenPart):
         )
 
 
+class RoundPlate(SpecimenPart):
+    """A round glass plate, flat towards the camera at z = 0, with concentric rings towards the display."""
+
+    kind: Literal["plate_round"] = "plate_round"
+    diameter_mm: Length
+    thickness_mm: Length
+    relief_mm: Length
+    period_mm: Length
+
+    def bodies(self, *, n_object: float, n_air: float) -> tuple[Body, ...]:  # noqa: ARG002
+        """Return the solid piece."""
+        outline = cylinder((0, 0, 0), (0, 0, 1), self.diameter_mm / 2)
+        relief = Relief(Rings(self.thickness_mm, self.relief_mm, self.period_mm))
+        return (Body(intersection(outline, half_space((0, 0, 0), (0, 0, -1)), relief), n_object),)
+
+
+class FishPlate(SpecimenPart):
+    """A fish-shaped glass plate, flat towards the camera at z = 0, with scales towards the display.
+
+    The body is an ellipse, the tail a triangle that is as wide as the whole plate; the nose is at −x.
+    """
+
+    kind: Literal["plate_fish"] = "plate_fish"
+    length_mm: Length
+    width_mm: Length
+    thickness_mm: Length
+    relief_mm: Length
+    period_mm: Length
+
+    def bodies(self, *, n_object: float, n_air: float) -> tuple[Body, ...]:  # noqa: ARG002
+        """Return the solid piece."""
+        half_length, half_width = self.length_mm / 2, self.width_mm / 2
+        body = elliptic_cylinder((-0.2 * half_length, 0, 0), 0.8 * half_length, 0.75 * half_width)
+        # From a point inside the body to the full width at the end.
+        fin = (half_width, 0.8 * half_length)
+        tip = (0.2 * half_length, 0, 0)
+        tail = intersection(
+            half_space(tip, (-fin[0], fin[1], 0)),
+            half_space(tip, (-fin[0], -fin[1], 0)),
+            half_space((half_length, 0, 0), (1, 0, 0)),
+        )
+        relief = Relief(Scales(self.thickness_mm, self.relief_mm, self.period_mm))
+        return (Body(intersection(union(body, tail), half_space((0, 0, 0), (0, 0, -1)), relief), n_object),)
+
+
 def _barrel(radius_mm: float, height_mm: float) -> Solid:
     """Return a cylinder along y, centred at the origin."""
     return intersection(
@@ -144,6 +190,6 @@ def _barrel(radius_mm: float, height_mm: float) -> Solid:
 
 
 Specimen = Annotated[
-    SemiEllipsoid | ConcaveCone | Hemisphere | ThinCone | ThinShell | Ornament | Bottle,
+    SemiEllipsoid | ConcaveCone | Hemisphere | ThinCone | ThinShell | Ornament | Bottle | RoundPlate | FishPlate,
     Field(discriminator="kind"),
 ]

@@ -11,6 +11,7 @@ from dataclasses import dataclass
 import numpy as np
 from jaxtyping import Bool, Float64, Int64
 
+from sim_backend.optics.media import IndexVariation
 from sim_backend.optics.refraction import facing, fresnel_transmission, refract
 from sim_backend.optics.solids import Leaf, Solid, contains
 
@@ -24,14 +25,18 @@ TOUCH_MM = 1e-7
 
 AIR = 0
 
+# A ray in glass of varying index is given up after this many steps.
+MAX_STEPS = 20000
+
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Body:
-    """A solid filled with one medium; ``of_object`` is false for the liquid."""
+    """A solid filled with one medium; ``of_object`` is false for the liquid, ``variation`` bends rays inside."""
 
     solid: Solid
     n: float
     of_object: bool = True
+    variation: IndexVariation | None = None
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -44,6 +49,14 @@ class OpticalWorld:
     def indices(self) -> Float64[np.ndarray, " media"]:
         """Return the refractive index of each medium."""
         return np.array([self.n_air, *(body.n for body in self.bodies)], dtype=np.float64)
+
+    def index_at(self, medium: Labels, points: Vectors) -> Numbers:
+        """Return the index of the given media at the given places."""
+        index = self.indices()[medium]
+        for number, body in enumerate(self.bodies, start=1):
+            if body.variation is not None:
+                index = index + np.where(medium == number, body.variation.added(points), 0.0)
+        return index
 
     def of_object(self) -> Bool[np.ndarray, " media"]:
         """Tell which media belong to the object."""
@@ -143,6 +156,34 @@ def normals_at(leaves: tuple[Leaf, ...], surface: Labels, points: Vectors) -> Ve
     return normals
 
 
+def bend_inside(world: OpticalWorld, origin: Vectors, direction: Vectors, medium: Labels) -> tuple[Vectors, Vectors]:
+    """Follow rays through a medium of varying index until a straight line leads to its boundary.
+
+    The ray equation d(n t)/ds = ∇n (Born and Wolf, 3.2.1), stepped by the midpoint rule: half a step straight, turn
+    by the gradient there, half a step straight. The last step ends at its midpoint, already turned.
+    """
+    origin, direction = origin.copy(), direction.copy()
+    for number, body in enumerate(world.bodies, start=1):
+        if body.variation is None:
+            continue
+        active = np.flatnonzero(medium == number)
+        for _ in range(MAX_STEPS):
+            if not len(active):
+                break
+            here, along = origin[active], direction[active]
+            room = next_boundary(world, here, along, medium[active]).distance
+            step = np.minimum(room, body.variation.step_mm)
+            middle = here + 0.5 * step[:, None] * along
+            pull = body.variation.gradient(middle) / world.index_at(medium[active], middle)[:, None]
+            turned = along + step[:, None] * (pull - np.einsum("ij,ij->i", pull, along)[:, None] * along)
+            turned /= np.sqrt(np.einsum("ij,ij->i", turned, turned))[:, None]
+            goes_on = room > body.variation.step_mm
+            origin[active] = middle + np.where(goes_on, 0.5 * step, 0.0)[:, None] * turned
+            direction[active] = turned
+            active = active[goes_on]
+    return origin, direction
+
+
 def trace(world: OpticalWorld, origin: Vectors, direction: Vectors, *, max_boundaries: int = 16) -> Paths:
     """Follow each ray until nothing lies ahead of it.
 
@@ -151,7 +192,8 @@ def trace(world: OpticalWorld, origin: Vectors, direction: Vectors, *, max_bound
     origin, direction : start and unit direction of each ray, in the world's frame.
     max_boundaries : a ray that has met this many boundaries and still meets another is given up as trapped.
     """
-    indices, of_object, leaves = world.indices(), world.of_object(), world.leaves()
+    of_object, leaves = world.of_object(), world.leaves()
+    bends = any(body.variation is not None for body in world.bodies)
     origin, direction = origin.copy(), direction.copy()
     medium = media_at(world, origin)
     exit_point, exit_normal = np.full_like(origin, np.nan), np.full_like(origin, np.nan)
@@ -159,6 +201,8 @@ def trace(world: OpticalWorld, origin: Vectors, direction: Vectors, *, max_bound
     route = np.zeros(len(origin), np.int64)
     active = np.arange(len(origin))
     for _ in range(max_boundaries):
+        if bends:
+            origin[active], direction[active] = bend_inside(world, origin[active], direction[active], medium[active])
         ahead = next_boundary(world, origin[active], direction[active], medium[active])
         meets = np.isfinite(ahead.distance)
         active = active[meets]
@@ -168,15 +212,16 @@ def trace(world: OpticalWorld, origin: Vectors, direction: Vectors, *, max_bound
         point = origin[active] + ahead.distance[meets, None] * incoming
         surface = ahead.surface[meets]
         normal = facing(incoming, normals_at(leaves, surface, point))
-        outgoing, reflected = refract(incoming, normal, indices[here], indices[beyond])
+        n_here, n_beyond = world.index_at(here, point), world.index_at(beyond, point)
+        outgoing, reflected = refract(incoming, normal, n_here, n_beyond)
         leaves_object = of_object[here] & ~of_object[beyond] & ~reflected
         exit_point[active[leaves_object]] = point[leaves_object]
         exit_normal[active[leaves_object]] = -normal[leaves_object]
-        kept = fresnel_transmission(-np.einsum("ij,ij->i", incoming, normal), indices[here], indices[beyond])
+        kept = fresnel_transmission(-np.einsum("ij,ij->i", incoming, normal), n_here, n_beyond)
         transmission[active] *= np.where(reflected, 1.0, kept)
         route[active] = (route[active] * 61 + 2 * surface + reflected + 1) % (1 << 40)
         origin[active], direction[active] = point, outgoing
         medium[active] = np.where(reflected, here, beyond)
     trapped = np.zeros(len(origin), bool)
     trapped[active] = True
-    return Paths(origin, direction, indices[medium], exit_point, exit_normal, transmission, trapped, route)
+    return Paths(origin, direction, world.indices()[medium], exit_point, exit_normal, transmission, trapped, route)

@@ -2,7 +2,7 @@
 
 import numpy as np
 import pytest
-from hypothesis import given
+from hypothesis import given, settings
 from hypothesis import strategies as st
 from scipy.optimize import minimize_scalar
 
@@ -19,6 +19,7 @@ def bend(angle_rad: float, n_from: float, n_to: float) -> tuple[np.ndarray, bool
     return bent[0], bool(reflected[0])
 
 
+@settings(deadline=None)  # the machine may be busy
 @given(angles, indices, indices)
 def test_obeys_the_law_of_sines_or_reflects_beyond_the_critical_angle(angle: float, n_from: float, n_to: float) -> None:
     bent, reflected = bend(angle, n_from, n_to)
@@ -32,6 +33,7 @@ def test_obeys_the_law_of_sines_or_reflects_beyond_the_critical_angle(angle: flo
         np.testing.assert_allclose(bent, [sine, 0, np.sqrt(1 - sine**2)], atol=1e-9)
 
 
+@settings(deadline=None)  # the machine may be busy
 @given(angles, indices, indices)
 def test_the_way_back_is_the_way_there_reversed(angle: float, n_from: float, n_to: float) -> None:
     bent, reflected = bend(angle, n_from, n_to)
@@ -56,6 +58,7 @@ def test_light_takes_the_path_of_stationary_optical_length() -> None:
     np.testing.assert_allclose(best.x + 4 * bent[0] / bent[2], 2, atol=1e-6)
 
 
+@settings(deadline=None)  # the machine may be busy
 @given(indices, indices)
 def test_straight_through_loses_the_square_of_the_index_contrast(n_from: float, n_to: float) -> None:
     kept = fresnel_transmission(np.ones(1), np.array([n_from]), np.array([n_to]))[0]
@@ -69,6 +72,7 @@ def test_light_polarised_in_the_plane_passes_whole_at_the_angle_of_brewster() ->
     assert kept == pytest.approx(1 - 0.5 * ((n**2 - 1) / (n**2 + 1)) ** 2, abs=1e-12)
 
 
+@settings(deadline=None)  # the machine may be busy
 @given(angles, indices, indices)
 def test_as_much_passes_one_way_as_the_other_and_never_more_than_all(angle: float, n_from: float, n_to: float) -> None:
     bent, reflected = bend(angle, n_from, n_to)
