@@ -40,7 +40,8 @@ def curve_chart(curve: SampleCurve) -> dict[str, object]:
         "col": curve.col,
         "set": curve.set,
         "axis": curve.axis,
-        "whole": line_path(whole_x, whole_y, samples),
+        # A curve that was kept only about its peak has no more to show than the close view.
+        "whole": line_path(whole_x, whole_y, samples) if len(near) < len(samples) else "",
         "window": (whole_x.place(low), whole_x.place(high)),
         "dots": [(x.place(a), y.place(b)) for a, b in near],
         "fit": line_path(x, y, fitted),
@@ -69,8 +70,8 @@ def curves_panel(curves: Sequence[SampleCurve]) -> Panel:
             "fitted": any(curve.model for curve in usable),
             "left_out": max(0, left_out),
         },
-        "Intensity of one pixel over the places of the stripe, in device pixels of the display: above, the whole sweep; below, "
-        "the neighbourhood of the peak, with the fit as a line and the peak found as an upright line (its sd as a band).",
+        "Intensity of one pixel over the places of the stripe about its peak, in device pixels of the display: samples as dots, "
+        "the fit as a line, the place found as an upright line with its sd as a band. A strip above, if any, is the whole sweep.",
         "One clear peak on a flat ground; dots on the line; no dot at the top of the range.",
         "Two peaks (two light paths in one pixel), a flat top (clipping), or a ground as high as the peak (stray light).",
         missing="" if usable else "The run kept no sample curves.",
