@@ -1,0 +1,182 @@
+"""The ``rig`` command as its user meets it: results on one line, errors in one sentence, never a traceback."""
+
+import json
+import sys
+from collections.abc import Callable
+from pathlib import Path
+
+import pytest
+
+from recon.session import open_session
+from rig.cli import main
+from rig.scene_config import SceneOptions, config_of_scene, open_scene
+from sim_backend.scene import scene_names
+
+Run = Callable[..., tuple[int, str, str]]
+
+
+@pytest.fixture
+def rig(monkeypatch: pytest.MonkeyPatch, capfd: pytest.CaptureFixture[str], tmp_path: Path) -> Run:
+    """Return ``rig(arguments…)`` → exit code, what it printed, what it complained."""
+    monkeypatch.chdir(tmp_path)
+
+    def run(*arguments: str) -> tuple[int, str, str]:
+        monkeypatch.setattr(sys, "argv", ["rig", *arguments])
+        try:
+            main()
+            code = 0
+        except SystemExit as stop:
+            code = int(stop.code or 0)
+        printed = capfd.readouterr()
+        return code, printed.out, printed.err
+
+    return run
+
+
+def test_a_rehearsal_writes_a_whole_session(rig: Run, tiny_arguments, tmp_path: Path) -> None:
+    code, out, err = rig("capture", "--sim", "--session", "s", *tiny_arguments)
+    assert (code, err) == (0, "")
+    assert out == "s: 72 photos, 72 of them taken now\n"
+    assert len(open_session(tmp_path / "s").photos) == 72
+    code, out, _ = rig("capture", "--sim", "--resume", "--session", "s")
+    assert (code, out) == (0, "s: 72 photos, 0 of them taken now\n")
+
+
+def test_simulate_writes_session_and_truth(rig: Run, tiny_arguments, tmp_path: Path) -> None:
+    code, out, err = rig("simulate", "hemisphere", "s", *tiny_arguments, "--seed", "5")
+    assert (code, err) == (0, "")
+    assert (tmp_path / "s/truth.npz").is_file()
+    configuration = open_session(tmp_path / "s").manifest.provenance.configuration
+    assert configuration["scene"]["seed"] == 5
+    assert "photos and their truth" in out
+
+
+def test_a_dry_run_prints_every_step_and_touches_nothing(rig: Run, tiny_arguments, tmp_path: Path) -> None:
+    code, out, err = rig("capture", "--sim", "--dry-run", "--session", "s", *tiny_arguments)
+    assert (code, err) == (0, "")
+    lines = out.splitlines()
+    assert lines[:2] == ["home the stage", "move the display to position 0 (10 mm)"]
+    assert sum(line.startswith("photo ") for line in lines) == 72
+    assert "fill 4000 ml into the tank" in lines
+    assert list(tmp_path.iterdir()) == []
+
+
+def test_a_dry_run_of_a_real_rig_opens_no_device(rig: Run, tmp_path: Path) -> None:
+    assert rig("init")[0] == 0
+    code, out, _ = rig("capture", "--dry-run", "--session", "s")
+    assert code == 0
+    assert out.startswith("home the stage\n")
+    assert [path.name for path in tmp_path.iterdir()] == ["rig.toml"]
+
+
+@pytest.mark.parametrize("arguments", [("capture", "--session", "s"), ("stage", "home"), ("pump", "fill", "100")])
+def test_nothing_falls_back_to_a_simulated_device(rig: Run, tmp_path: Path, arguments: tuple[str, ...]) -> None:
+    rig("init")
+    code, out, err = rig(*arguments)
+    assert (code, out) == (1, "")
+    assert err == (
+        "rig: no camera, display, pump, stage configured: name driver and address in the section [devices] of the "
+        "configuration, or rehearse with --sim\n"
+    )
+    assert not (tmp_path / "s").exists()
+
+
+WRONG = [
+    (("capture", "--session", "s"), "rig.toml: no such file; write one with `rig init rig.toml`"),
+    (("capture", "--session", "s", "--scene", "hemisphere"), "add --sim"),
+    (("capture", "--session", "s", "--sim", "--config", "rig.toml"), "leave out one of them"),
+    (("capture", "--session", "s", "--sim", "--scene", "nowhere"), "no scene 'nowhere': choose one of bottle"),
+    (("capture", "--session", "s", "--sim", "--step-px", "500"), "a sweep needs at least 3"),
+    (("capture", "--session", "s", "--sim", "--width-px", "-3"), "capture.stripe.width_px: Input should be greater"),
+    (("capture", "--session", "s", "--sim", "--resume"), "s: no such folder"),
+    (("capture", "--session", "s", "--sim", "--resume", "--step-px", "2"), "leave out the other options"),
+    (("capture", "--session", "full", "--sim"), "full: not empty; choose a new folder"),
+    (("capture", "--session", "full/file/s", "--sim"), "full/file/s: cannot be written (Not a directory)"),
+    (("capture", "--session", "full", "--sim", "--resume"), "no manifest.json here"),
+    (("simulate", "full", "s"), "no scene 'full'"),
+    (("simulate", "full/file", "s"), "is not TOML"),
+    (("simulate", "hemisphere", "full"), "full: not empty"),
+    (("plan", "full/file"), "not TOML"),
+    (("init", "full/file"), "exists already and is kept as it is"),
+    (("init", "absent/rig.toml"), "absent/rig.toml: No such file or directory"),
+    (("stage", "move", "31", "--sim", "--home"), "stage: 31 mm asked, travel is 0 to 30 mm"),
+    (("stage", "move", "20", "--sim"), "it was not homed; run `rig stage home` first"),
+    (("stage", "where", "--sim", "--state", "full/file"), "not the state of a simulated rig"),
+    (("pump", "fill", "6001", "--sim"), "the tank holds 0 ml and may hold 6000 ml"),
+    (("pump", "fill", "0", "--sim"), "needs a volume above 0 ml"),
+    (("pump", "fill", "nan", "--sim"), "needs a volume above 0 ml"),
+    (("pump", "state", "--sim", "--scene", "thin_cone"), "this rig has no pump"),
+]
+
+
+@pytest.mark.parametrize(
+    ("arguments", "said"), WRONG, ids=lambda value: " ".join(value) if isinstance(value, tuple) else ""
+)
+def test_a_mistake_costs_one_sentence(rig: Run, tmp_path: Path, arguments: tuple[str, ...], said: str) -> None:
+    (tmp_path / "full").mkdir()
+    (tmp_path / "full/file").write_text("this is = = not TOML")
+    code, out, err = rig(*arguments)
+    assert code == 1
+    assert out == ""
+    assert err.startswith("rig: ")
+    assert said in err
+    assert err.count("\n") == 1
+    assert (tmp_path / "full/file").read_text() == "this is = = not TOML"
+    assert not (tmp_path / "s").exists()
+
+
+def test_real_and_simulated_photos_never_share_a_session(rig: Run, captured: Path) -> None:
+    code, _, err = rig("capture", "--resume", "--session", str(captured))
+    assert code == 1
+    assert "was begun with simulated devices; add --sim" in err
+
+
+def test_the_simulated_tank_keeps_its_liquid_between_commands(rig: Run) -> None:
+    kept = ("--sim", "--state", "bench.json")
+    assert rig("pump", "fill", "1500", *kept)[1] == "pump: 1500 ml counted; the tank holds 1500 ml of 6000 ml\n"
+    assert rig("pump", "state", *kept)[1] == "pump: stands still; the tank holds 1500 ml of 6000 ml\n"
+    assert rig("pump", "drain", "500", *kept)[1] == "pump: 500 ml counted; the tank holds 1000 ml of 6000 ml\n"
+    assert rig("pump", "stop", *kept)[1] == "pump: stands still; the tank holds 1000 ml of 6000 ml\n"
+    assert rig("pump", "fill", "5001", *kept)[0] == 1
+
+
+def test_the_simulated_stage_stays_homed_and_where_it_is_between_commands(rig: Run) -> None:
+    kept = ("--sim", "--state", "bench.json")
+    assert "cannot be trusted" in rig("stage", "where", *kept)[1]
+    assert rig("stage", "home", *kept)[1] == "stage: 0.000 mm of 0 to 30 mm\n"
+    assert rig("stage", "move", "12.5", *kept)[1] == "stage: 12.500 mm of 0 to 30 mm\n"
+    assert rig("stage", "where", *kept)[1] == "stage: 12.500 mm of 0 to 30 mm\n"
+
+
+def test_a_capture_starts_from_the_tank_as_it_is(rig: Run, tiny_arguments, tmp_path: Path) -> None:
+    rig("pump", "fill", "1500", "--sim", "--state", "bench.json")
+    code, _, err = rig("capture", "--sim", "--state", "bench.json", "--session", "s", *tiny_arguments)
+    assert (code, err) == (0, "")
+    entries = [json.loads(line) for line in (tmp_path / "s/journal.jsonl").read_text().splitlines()]
+    flows = [(entry["event"], entry["volume_ml"]) for entry in entries if "volume_ml" in entry]
+    assert flows == [("drain_started", 1500.0), ("fill_started", 4000.0), ("drain_started", 4000.0)]
+
+
+def test_the_plan_ends_with_what_it_costs(rig: Run) -> None:
+    code, out, _ = rig("plan", "--scene", "semi_ellipsoid", "--order", "paper", "--step-px", "4")
+    assert code == 0
+    # The paper's order needs the display moved once between its two positions, after it was moved to the first.
+    assert out.splitlines()[-1].startswith(
+        "4 sets, 520 photos, 2 moves of the stage, 2 fills and 2 drains (16.0 l pumped), 0 questions to the operator"
+    )
+    assert "sweep pos0_liquid along x" in out
+
+
+def test_the_list_of_scenes_is_that_of_the_simulator_and_each_can_be_planned(rig: Run) -> None:
+    code, out, _ = rig("scenes")
+    assert code == 0
+    assert [line.split()[0] for line in out.splitlines()] == list(scene_names())
+    for name in scene_names():
+        config_of_scene(open_scene(name, SceneOptions()), SceneOptions())
+
+
+@pytest.mark.parametrize("command", ["capture", "simulate", "plan", "init", "scenes", "stage", "pump"])
+def test_each_command_explains_itself(rig: Run, command: str) -> None:
+    code, out, _ = rig(command, "--help")
+    assert code == 0
+    assert "Usage: rig " + command in out
