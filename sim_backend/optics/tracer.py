@@ -174,8 +174,8 @@ def bend_inside(world: OpticalWorld, origin: Vectors, direction: Vectors, medium
             room = next_boundary(world, here, along, medium[active]).distance
             step = np.minimum(room, body.variation.step_mm)
             middle = here + 0.5 * step[:, None] * along
-            pull = body.variation.gradient(middle) / world.index_at(medium[active], middle)[:, None]
-            turned = along + step[:, None] * (pull - np.einsum("ij,ij->i", pull, along)[:, None] * along)
+            n_here = world.index_at(medium[active], here)
+            turned = n_here[:, None] * along + step[:, None] * body.variation.gradient(middle)
             turned /= np.sqrt(np.einsum("ij,ij->i", turned, turned))[:, None]
             goes_on = room > body.variation.step_mm
             origin[active] = middle + np.where(goes_on, 0.5 * step, 0.0)[:, None] * turned

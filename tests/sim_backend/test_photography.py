@@ -211,6 +211,36 @@ def test_frames_that_do_not_fit_the_panel_are_refused(photographer: Photographer
             photographer.photograph(frame, stage_position_mm=10.0, wet=False)
 
 
+def test_white_light_is_the_weighted_sum_of_its_colours() -> None:
+    scene = load_scene("hemisphere_white").resized(camera_columns=48, display_columns=512)
+    panel = scene.display.model_copy(update={"primary": "green"})
+    frame = Frame("x", stripe(150, 512, 3), patches=(Patch(240, 190, np.full((20, 20), 255, np.uint8)),))
+    settings = {"stage_position_mm": 93.0, "wet": False}
+    white = Photographer(scene).expected(frame, **settings)
+    total = np.zeros_like(white)
+    for line in scene.spectrum():
+        update = {"display": panel, "n_object": line.n_object, "n_liquid": line.n_liquid}
+        total += line.weight * Photographer(scene.model_copy(update=update)).expected(frame, **settings)
+    np.testing.assert_allclose(total, white, atol=1e-3)
+
+
+def test_glass_spreads_the_colours_of_a_white_stripe() -> None:
+    scene = load_scene("hemisphere_white").resized(camera_columns=48)
+    panel = scene.display.model_copy(update={"primary": "green"})
+    places = []
+    for line in scene.spectrum():
+        update = {"display": panel, "n_object": line.n_object, "n_liquid": line.n_liquid}
+        photographer = Photographer(scene.model_copy(update=update))
+        places.append(photographer.pixel_coordinates(stage_position_mm=93.0, wet=False)[24, 34, 0])
+    # Near the axis a ray of height h leaves the dome turned by (n − 1) h / R; over the 65 mm from dome to display the
+    # colours part by 65 · Δn · h / R. h = 10.5 px of 64 / 48 mm; Δn = 0.0083 between 620 and 465 nm (data sheet).
+    height = 10.5 * 64 / 48
+    apart = 65 * 0.0083 * height / 27.99 / scene.display.pitch_mm
+    assert places[0] > places[1] > places[2]
+    # Half as much again for the steepness of the dome out there (sin h / R = 0.5).
+    assert apart < places[0] - places[2] < 3 * apart
+
+
 def test_without_the_object_an_empty_room_maps_pixels_by_similar_triangles() -> None:
     scene = small_scene("thin_cone")
     seen = Photographer(scene).pixel_coordinates(stage_position_mm=20.0, wet=False, object_present=False)

@@ -133,6 +133,45 @@ def test_the_padding_of_the_thin_cone_moves_no_normal() -> None:
         np.testing.assert_allclose(slope[slope < 80], np.degrees(np.arctan(1 / 4)), atol=1e-6)
 
 
+def test_a_round_plate_shows_its_rings() -> None:
+    point, normal = judged(small_truth("plate_round"))
+    radius = np.hypot(point[:, 0], point[:, 1])
+    wave = 2 * np.pi / 40
+    np.testing.assert_allclose(point[:, 2], 3 - 0.3 * (1 - np.cos(wave * radius)), atol=1e-9)
+    # The radial part of the normal over its z part is minus the slope of the profile.
+    tilt = np.sum(normal[:, :2] * point[:, :2], axis=1) / radius / normal[:, 2]
+    np.testing.assert_allclose(tilt, 0.3 * wave * np.sin(wave * radius), atol=1e-9)
+
+
+def test_a_fish_plate_has_the_length_and_width_of_the_fish() -> None:
+    point, _ = judged(Photographer(load_scene("plate_fish")).truth())
+    # A pixel sees 0.8 mm.
+    assert np.ptp(point[:, 0]) == pytest.approx(256, abs=1.6)
+    assert np.ptp(point[:, 1]) == pytest.approx(207, abs=1.6)
+
+
+def test_glass_by_name_has_the_index_of_the_displays_colour() -> None:
+    scene = load_scene("hemisphere_white")
+    # Schott's data sheet gives 1.51872 at the mercury line 546.07 nm; 530 nm is a little higher.
+    assert 1.51872 < scene.n_object < 1.521
+    assert scene.n_liquid == pytest.approx(1.3355, abs=1e-9)
+    red, green, blue = scene.spectrum()
+    assert red.n_object < green.n_object < blue.n_object
+    assert red.weight + green.weight + blue.weight == pytest.approx(1)
+    one_colour = scene.display.model_copy(update={"primary": "green"})
+    assert len(scene.model_copy(update={"display": one_colour}).spectrum()) == 1
+
+
+def test_a_glass_nobody_knows_or_with_another_index_is_refused(tmp_path: Path) -> None:
+    path = tmp_path / "mine.toml"
+    path.write_text(HEMISPHERE.read_text().replace("n_object = 1.5195", 'glass = "jelly"'))
+    with pytest.raises(SceneError, match="glass 'jelly' is not one of N-BK7"):
+        load_scene(path)
+    path.write_text(HEMISPHERE.read_text().replace("n_object = 1.5195", 'glass = "N-BK7"\nn_object = 1.6'))
+    with pytest.raises(SceneError, match="n_object follows from glass 'N-BK7'"):
+        load_scene(path)
+
+
 def test_a_thin_scene_cannot_be_photographed_wet() -> None:
     with pytest.raises(SceneError, match="has no liquid"):
         load_scene("thin_cone").world(wet=True)
