@@ -12,10 +12,12 @@ from pathlib import Path
 import pytest
 
 from recon.session import SessionWriter, open_session
-from rig.plan import all_photos, set_name
+from rig.config import RigConfig
+from rig.plan import all_photos, set_name, set_order
 from rig.session_manifest import SIMULATED_DEVICE, manifest_of
 from rig.simulate import take
 from sim_backend.photography import Photographer
+from sim_backend.scene import Scene
 from sim_backend.world import load_state
 
 # Generous, because continuous integration may be slow; nothing waits that long when all is well.
@@ -41,33 +43,35 @@ def journal_text(session: Path) -> str:
 
 
 @pytest.fixture
-def dry_half(tmp_path: Path, config, scene) -> Path:
-    """A session whose dry sets are done, on a rig that needs no rest and stands almost where it has to go."""
-    timing = config.timing.model_copy(update={"still_after_move_s": 0.0, "photo_s": 0.05, "settle_s": 0.0})
-    stage = config.stage.model_copy(update={"velocity_mm_per_s": 1000.0})
-    tank = config.tank.model_copy(update={"pump_rate_ml_per_min": 60_000.0})
-    quick = config.model_copy(update={"timing": timing, "stage": stage, "tank": tank})
-    photographer = Photographer(scene)
-    folder = tmp_path / "session"
-    with SessionWriter.create(folder, manifest_of(quick, devices={"rig": SIMULATED_DEVICE}, scene=scene)) as writer:
-        for photo in all_photos(quick):
-            place = next(
-                place
-                for place in ((0, "air"), (1, "air"), (0, "liquid"), (1, "liquid"))
-                if set_name(place) == photo.set_name
-            )
-            if place[1] == "air":
-                data = take(photo, place, photographer, quick)
-                writer.save_photo(data, set_name=photo.set_name, sweep=photo.sweep, index=photo.index)
-    return folder
+def begin(tmp_path: Path, config: RigConfig, scene: Scene) -> Callable[..., Path]:
+    """Return ``begin(conditions)``: a session with the sets of these conditions, to be resumed on a rig that is quick."""
+
+    def begun(*conditions: str) -> Path:
+        timing = config.timing.model_copy(update={"still_after_move_s": 0.0, "photo_s": 0.05, "settle_s": 0.0})
+        stage = config.stage.model_copy(update={"velocity_mm_per_s": 1000.0})
+        assert config.tank is not None
+        tank = config.tank.model_copy(update={"pump_rate_ml_per_min": 60_000.0})
+        quick = config.model_copy(update={"timing": timing, "stage": stage, "tank": tank})
+        photographer = Photographer(scene)
+        places = {set_name(place): place for place in set_order(quick)}
+        folder = tmp_path / "session"
+        with SessionWriter.create(folder, manifest_of(quick, devices={"rig": SIMULATED_DEVICE}, scene=scene)) as writer:
+            for photo in all_photos(quick):
+                place = places[photo.set_name]
+                if place[1] in conditions:
+                    data = take(photo, place, photographer, quick)
+                    writer.save_photo(data, set_name=photo.set_name, sweep=photo.sweep, index=photo.index)
+        return folder
+
+    return begun
 
 
 @pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM], ids=["ctrl-c", "terminate"])
 def test_an_interrupt_among_photos_leaves_a_session_that_resumes_to_the_same_bytes(
-    tmp_path: Path, tiny_arguments, captured, read_photo_bytes, number: signal.Signals
+    tmp_path: Path, begin, captured, read_photo_bytes, number: signal.Signals
 ) -> None:
-    session = tmp_path / "session"
-    process = start_rig("capture", "--sim", "--session", "session", *tiny_arguments, "--real-time", folder=tmp_path)
+    session = begin()
+    process = start_rig("capture", "--resume", "--session", "session", "--sim", "--real-time", folder=tmp_path)
     wait_for(lambda: '"photo"' in journal_text(session), process)
     process.send_signal(number)
     out, err = process.communicate(timeout=PATIENCE_S)
@@ -85,7 +89,8 @@ def test_an_interrupt_among_photos_leaves_a_session_that_resumes_to_the_same_byt
     assert read_photo_bytes(session) == read_photo_bytes(captured)
 
 
-def test_an_interrupt_during_the_fill_stops_the_pump(tmp_path: Path, dry_half: Path) -> None:
+def test_an_interrupt_during_the_fill_stops_the_pump(tmp_path: Path, begin) -> None:
+    dry_half = begin("air")
     process = start_rig(
         "capture", "--resume", "--session", "session", "--sim", "--real-time", "--state", "bench.json", folder=tmp_path
     )
@@ -125,8 +130,9 @@ def test_an_interrupt_stops_a_pump_that_was_started_by_hand(tmp_path: Path) -> N
     assert 0 < load_state(tmp_path / "bench.json").tank_ml < 3000
 
 
-def test_a_second_ctrl_c_stops_at_once(tmp_path: Path, dry_half: Path) -> None:
+def test_a_second_ctrl_c_stops_at_once(tmp_path: Path, begin) -> None:
     """A stage that creeps for minutes does not look up between the two; the second Ctrl-C does not wait for it."""
+    dry_half = begin("air")
     manifest = json.loads((dry_half / "manifest.json").read_text())
     manifest["provenance"]["configuration"]["rig"]["stage"]["velocity_mm_per_s"] = 0.01
     (dry_half / "manifest.json").write_text(json.dumps(manifest))
