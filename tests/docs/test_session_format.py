@@ -4,11 +4,14 @@ import re
 import subprocess
 from pathlib import Path
 
+import numpy as np
 import pytest
 from pydantic import BaseModel
 
 from recon import journal, manifest
 from recon.journal import PhotoRecord
+from recon.maps import load_maps
+from recon.run import Settings, run_session
 from recon.session import Session, open_session
 
 REPOSITORY = Path(__file__).parents[2]
@@ -80,3 +83,18 @@ def test_the_worked_example_is_a_session_with_all_its_photos(written_by_hand: Se
 def test_the_journal_line_on_the_page_is_the_first_that_the_loop_writes(written_by_hand: Session) -> None:
     first = PhotoRecord.model_validate_json(code_blocks("json")[1].replace('"event": "photo", ', ""))
     assert first == written_by_hand.photos["pos0_air", "x", 0]
+
+
+def test_the_session_written_by_hand_becomes_the_surface_of_the_ellipsoid(written_by_hand: Session) -> None:
+    out = written_by_hand.folder.parent / "result"
+    run_session(written_by_hand.folder, out, Settings(method="paper"))
+    with np.load(PHOTOS.parent / "truth.npz") as truth:
+        judged = truth["judged"]
+    points = load_maps(out / "maps.npz").point_mm[judged]
+    found = np.isfinite(points).all(axis=1)
+    assert found.mean() > 0.9
+    # x²/12.5² + y²/12.5² + z²/5² = 1; the distance to first order, against a stripe step of 1/6 unit on the display.
+    squares = np.array([12.5, 12.5, 5.0]) ** 2
+    level = (points[found] ** 2 / squares).sum(axis=1) - 1
+    distance = level / np.linalg.norm(2 * points[found] / squares, axis=1)
+    assert np.median(np.abs(distance)) < 1 / 6
