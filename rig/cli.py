@@ -96,7 +96,10 @@ def simulate(
     seed: options.SeedOption = None,
     workers: Annotated[int, typer.Option("--workers", min=1, help="Threads that compute photos.")] = 2,
 ) -> None:
-    """Write a simulated session and its truth at once, without going through devices."""
+    """Write a simulated session with its truth.
+
+    The photos are those of `rig capture --sim`, computed without going through devices.
+    """
     changes = SceneOptions(profile, width_px, step_px, order, size, display_columns, seed)
     opened = open_scene(scene, changes)
     count = simulate_session(opened, config_of_scene(opened, changes), folder, workers=workers, console=console)
@@ -117,7 +120,10 @@ def plan(
     size: options.SizeOption = None,
     display_columns: options.DisplayOption = None,
 ) -> None:
-    """Say what a capture will do and what it will cost: photos, time, liquid, disk."""
+    """Say what a capture will do and cost.
+
+    Every move, fill and sweep in order, then photos, time, liquid and disk space together.
+    """
     changes = SceneOptions(profile, width_px, step_px, order, size, display_columns)
     rig = choose_rig(sim or scene is not None, config, scene, changes)
     print_plan(plan_capture(rig.config), rig.config, console)
@@ -127,7 +133,10 @@ def plan(
 def init(
     file: Annotated[Path, typer.Argument(metavar="FILE", help="Where to write it.")] = DEFAULT_FILE,
 ) -> None:
-    """Write a configuration in which every value is explained; then measure your rig and change the values."""
+    """Write a configuration to start from.
+
+    Every value is explained in it; measure your rig and change the values.
+    """
     if file.exists():
         raise ConfigError(f"{file}: exists already and is kept as it is; give another name, or remove it first")
     file.write_text((resources.files("rig") / "template.toml").read_text("utf-8"), encoding="utf-8")

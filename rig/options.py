@@ -68,7 +68,9 @@ class Rig:
     scene: Scene | None
 
     def simulation(self, *, real_time: bool, state_file: Path | None) -> Simulation | None:
-        """Return how to simulate, or None for real devices."""
+        """Return how to simulate, or None for real devices; options of a rehearsal are refused for those."""
+        if self.scene is None and (real_time or state_file is not None):
+            raise ConfigError("--state and --real-time belong to simulated devices; add --sim, or leave them out")
         return None if self.scene is None else Simulation(self.scene, real_time=real_time, state_file=state_file)
 
 

@@ -69,7 +69,10 @@ def fill(
     state: options.StateOption = None,
     real_time: options.RealTimeOption = False,
 ) -> None:
-    """Pump liquid into the tank; more than the tank may hold is refused before anything flows."""
+    """Pump liquid into the tank.
+
+    More than the tank may hold is refused before anything flows. Ctrl-C stops the pump.
+    """
     _pump("fill", volume_ml, sim, config, scene, state, real_time)
 
 
@@ -109,7 +112,7 @@ def show_state(
     scene: options.SceneOption = None,
     state: options.StateOption = None,
 ) -> None:
-    """Ask the pump whether it runs, and how much is in the tank."""
+    """Say whether the pump runs, and what the tank holds."""
     rig = choose_rig(sim, config, scene, SceneOptions())
     tank = _tank(rig.config)
     with open_devices(rig.config, simulation=rig.simulation(real_time=False, state_file=state)) as devices:

@@ -56,6 +56,10 @@ def open_scene(name_or_path: str, options: SceneOptions) -> Scene:
         )
     except (SceneError, OSError) as error:
         raise ConfigError(str(error)) from None
+    except UnicodeDecodeError:
+        raise ConfigError(
+            f"scene {name_or_path!r} is not a text file; give a name from `rig scenes`, or a TOML file"
+        ) from None
     return scene if options.seed is None else scene.model_copy(update={"seed": options.seed})
 
 

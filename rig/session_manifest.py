@@ -3,10 +3,12 @@
 from importlib.metadata import version
 from typing import Any
 
+from pydantic import ValidationError
+
 from recon.journal import now_text
 from recon.manifest import CaptureSet, DeviceRecord, Manifest, Provenance, Sweep
 from recon.session import Session
-from rig.config import RigConfig, parse_config
+from rig.config import RigConfig, first_fault, parse_config
 from rig.errors import CaptureError
 from rig.plan import set_order
 from sim_backend.scene import Scene
@@ -55,4 +57,12 @@ def config_of_session(session: Session) -> RigConfig:
 def scene_of_session(session: Session) -> Scene | None:
     """Return the scene of a simulated session, None for one from a lab."""
     data: Any = session.manifest.provenance.configuration.get("scene")
-    return None if data is None else Scene.model_validate(data)
+    if data is None:
+        return None
+    try:
+        return Scene.model_validate(data)
+    except ValidationError as error:
+        source = f"{session.folder}: scene in the manifest"
+        raise CaptureError(
+            f"{first_fault(error, source=source)}; restore the manifest, or start a new session"
+        ) from None

@@ -3,6 +3,7 @@
 import json
 import sys
 from collections.abc import Callable
+from importlib import resources
 from pathlib import Path
 
 import pytest
@@ -95,6 +96,8 @@ WRONG = [
     (("capture", "--session", "full", "--sim", "--resume"), "no manifest.json here"),
     (("simulate", "full", "s"), "no scene 'full'"),
     (("simulate", "full/file", "s"), "is not TOML"),
+    (("simulate", "full/photo", "s"), "is not a text file"),
+    (("stage", "where", "--state", "bench.json", "--config", "full/good.toml"), "add --sim, or leave them out"),
     (("simulate", "hemisphere", "full"), "full: not empty"),
     (("plan", "full/file"), "not TOML"),
     (("init", "full/file"), "exists already and is kept as it is"),
@@ -115,6 +118,8 @@ WRONG = [
 def test_a_mistake_costs_one_sentence(rig: Run, tmp_path: Path, arguments: tuple[str, ...], said: str) -> None:
     (tmp_path / "full").mkdir()
     (tmp_path / "full/file").write_text("this is = = not TOML")
+    (tmp_path / "full/photo").write_bytes(b"\xff\xd8\xff")
+    (tmp_path / "full/good.toml").write_text((resources.files("rig") / "template.toml").read_text("utf-8"))
     code, out, err = rig(*arguments)
     assert code == 1
     assert out == ""
@@ -129,6 +134,19 @@ def test_real_and_simulated_photos_never_share_a_session(rig: Run, captured: Pat
     code, _, err = rig("capture", "--resume", "--session", str(captured))
     assert code == 1
     assert "was begun with simulated devices; add --sim" in err
+
+
+def test_a_damaged_manifest_is_refused_in_one_sentence(rig: Run, tiny_arguments, tmp_path: Path) -> None:
+    rig("simulate", "semi_ellipsoid", "s", *tiny_arguments)
+    whole = json.loads((tmp_path / "s/manifest.json").read_text())
+    for part, key in (("scene", "stage_positions_mm"), ("rig", "stage")):
+        damaged = json.loads(json.dumps(whole))
+        damaged["provenance"]["configuration"][part][key] = 7
+        (tmp_path / "s/manifest.json").write_text(json.dumps(damaged))
+        code, _, err = rig("capture", "--resume", "--sim", "--session", "s")
+        assert code == 1
+        assert key in err
+        assert err.count("\n") == 1
 
 
 def test_the_simulated_tank_keeps_its_liquid_between_commands(rig: Run) -> None:
