@@ -1,6 +1,6 @@
 """Positions and normals together, on the rays themselves.
 
-Each pixel's point lies on its light path in air, X_k = O_k + t_k V_k. Two neighbours with mean normal n give the
+Each pixel's point lies on one of its light paths, X_k = O_k + t_k V_k. Two neighbours with mean normal n give the
 equation n·(X_j − X_i) = 0, which is exact on planes and spheres, with the noise of the normals; the crossing of the two
 light paths gives t_k itself, with its own noise. Both together are one sparse positive definite system. The rays carry
 the lateral noise of the correspondences, but a chord between the places where the *measured* rays meet the surface is
@@ -31,6 +31,11 @@ NORMAL_CONSISTENT_MAD = 1.4826
 # chord adds up over a thousand pixels to only 30 times as much.
 SMALLEST_CHORD_SHARE = 1e-4
 START_WINDOW_PX = 5
+# A normal of which nothing is known still points into the liquid: about so far from the middle of a hemisphere. A pixel
+# with such a normal stays tied to its neighbours.
+LARGEST_NORMAL_SD_RAD = 1.0
+# Each round solves for a correction, which need not be known more closely than this share of itself.
+CORRECTION_TOLERANCE = 1e-5
 # Standard deviations are estimated from this many draws over this window: good to a tenth.
 SD_DRAWS = 6
 SD_WINDOW_PX = 5
@@ -104,7 +109,8 @@ def fuse_on_rays(
     Parameters
     ----------
     origin_mm, direction
-        The light path of each pixel (unit direction).
+        The light path of each pixel (unit direction): the one in liquid serves better, since it is bent less, so that
+        a pixel sees a smaller spot of the display and its mean stays near its centre, also close to total reflection.
     distance_mm, distance_sd_mm
         Where on it the triangulation put the point, and its standard deviation; NaN where it gave none.
     normal, normal_sd_rad
@@ -156,7 +162,7 @@ def _usable(
 ) -> Mask:
     """Return the pixels with a ray and a normal, in parts that hold at least one triangulated distance."""
     complete = [np.isfinite(field).all(axis=2) for field in (origin_mm, direction, normal)]
-    used = mask & np.logical_and.reduce(complete) & (normal_sd_rad > 0) & np.isfinite(normal_sd_rad)
+    used = mask & np.logical_and.reduce(complete) & (normal_sd_rad > 0)
     graph = neighbours_of(used)
     part = components(graph.pixels, graph.first, graph.second)
     measured = np.bincount(part, _measured(distance_mm, distance_sd_mm)[used])
@@ -186,7 +192,7 @@ def _rays(
         measured=np.where(measured, distance_mm[used], 0.0),
         precision=1 / variance,
         normal=normal[used],
-        tilt_variance=normal_sd_rad[used] ** 2 / 2,
+        tilt_variance=np.minimum(normal_sd_rad[used], LARGEST_NORMAL_SD_RAD) ** 2 / 2,
     )
 
 
@@ -259,9 +265,10 @@ def _gather(graph: Neighbours, chords: _Chords, per_chord: PerPair, per_pixel: P
 
 
 def _solve(graph: Neighbours, rays: _Rays, chords: _Chords, system: _System, guess: PerPixel) -> PerPixel:
-    """Minimise Σ weight · residual² / variance over chords and measured distances."""
-    right = _gather(graph, chords, system.chord_weight * chords.right, system.own_weight * rays.measured)
-    return solver(system.matrix)(right, guess)
+    """Minimise Σ weight · residual² / variance over chords and measured distances, by a correction to ``guess``."""
+    chord_pull = -system.chord_weight * chords.residual(graph, guess)
+    right = _gather(graph, chords, chord_pull, system.own_weight * (rays.measured - guess))
+    return guess + solver(system.matrix, relative_tolerance=CORRECTION_TOLERANCE)(right, np.zeros_like(guess))
 
 
 def _standard_deviation(graph: Neighbours, chords: _Chords, system: _System) -> PerPixel:

@@ -172,6 +172,36 @@ def test_part_without_any_triangulated_point_is_left_out() -> None:
     assert np.isnan(found.distance_mm[:, 10:]).all()
 
 
+def test_pixel_with_a_worthless_normal_is_held_by_its_neighbours() -> None:
+    scene = sphere()
+    distance, normal = scene.noisy(10, 0.05, 0.002)
+    sd, normal_sd = np.full(scene.mask.shape, 0.05), np.full(scene.mask.shape, 0.002)
+    normal[20, 20] = [0.6, 0.0, 0.8]
+    normal_sd[20, 20] = np.inf
+    sd[20, 20] = 1e15
+    found = fuse_on_rays(scene.origin, scene.direction, distance, sd, normal, normal_sd, scene.mask)
+    assert abs(found.distance_mm[20, 20] - DISTANCE_MM) < 0.3
+    # Tied by four chords of about 1 mm whose normals are known to a radian or so.
+    assert found.distance_sd_mm[20, 20] < 1.0
+
+
+def test_standard_deviation_of_a_lone_pixel_is_that_of_its_measurement() -> None:
+    scene = plane(9)
+    apart = np.zeros(scene.mask.shape, bool)
+    apart[::2, ::2] = True
+    scene.mask &= apart
+    found = scene.fuse(np.full(scene.mask.shape, DISTANCE_MM), 0.1, scene.normal, 0.01)
+    # Six draws over nine pixels of a 5 × 5 window: 54 squares in the middle; 4 sigma.
+    assert found.distance_sd_mm[4, 4] == pytest.approx(0.1, rel=4 / np.sqrt(2 * 54))
+
+
+def test_standard_deviation_falls_as_more_pixels_agree() -> None:
+    scene = plane(20)
+    found = scene.fuse(np.full(scene.mask.shape, DISTANCE_MM), 0.1, scene.normal, 1e-5)
+    # Rigidly joined by their normals, 400 pixels are one mean; six draws tell its sd to 29 %, 3 sigma.
+    assert np.median(found.distance_sd_mm) == pytest.approx(0.1 / 20, rel=3 / np.sqrt(12))
+
+
 def test_nothing_usable_gives_nothing() -> None:
     scene = plane()
     found = scene.fuse(np.full(scene.mask.shape, np.nan), 0.1, scene.normal, 0.01)
