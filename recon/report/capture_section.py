@@ -136,7 +136,7 @@ def photos_panel(photos: Sequence[PhotoQuality]) -> Panel:
         },
         "Upper line: the brightest value in each photo of a sweep. Lower area: the share of saturated pixels, in per cent of the "
         "photo.",
-        "Smooth lines of the same height in air and in liquid, with next to nothing saturated.",
+        "Smooth lines of one height in air and in liquid, low only where the stripe is out of sight; almost nothing saturated.",
         "A notch (a photo of the frame before, or a blank one), a jump (exposure, or light in the room), or saturation.",
         missing="" if photos else "The run recorded no quality of single photos.",
     )

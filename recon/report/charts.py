@@ -23,7 +23,10 @@ class Scale:
 
     def ticks(self, wanted: int = 4) -> tuple[tuple[float, str], ...]:
         """Return places and labels of about ``wanted`` round values."""
-        return tuple((self.place(value), number(value) if value else "0") for value in self._round_values(wanted))
+        return tuple(
+            (self.place(value), number(value if abs(value) < 1e6 else float(value)) if value else "0")
+            for value in self._round_values(wanted)
+        )
 
     def _round_values(self, wanted: int) -> list[Real]:
         """Return the multiples of 1, 2 or 5 times a power of ten inside the scale."""

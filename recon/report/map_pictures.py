@@ -25,6 +25,7 @@ LEFT_IN, RIGHT_IN, KEY_IN, BOTTOM_IN, TOP_IN, BAR_IN = 0.58, 0.12, 1.02, 0.45, 0
 SMALLEST_HEIGHT_IN, LARGEST_HEIGHT_IN = 1.2, 4.6
 # A limit set by one outlier in a hundred says nothing about the surface.
 LIMIT_PERCENTILES = (1.0, 99.0)
+LARGEST_RATIO = 100.0
 Draw = Callable[[Axes, Axes], None]
 
 STATUS_COLOURS: dict[PixelStatus, str] = {
@@ -103,6 +104,19 @@ def limits(values: Float[np.ndarray, "*grid"], *, symmetric: bool = False) -> tu
     return low, high
 
 
+def positive_limits(values: Float[np.ndarray, "*grid"]) -> tuple[float, float]:
+    """Return the ends of a logarithmic scale: 1st to 99th percentile, but at most ``LARGEST_RATIO`` times the median.
+
+    A standard deviation has no upper bound: where a point rests on nothing it exceeds the others by many powers of ten.
+    """
+    usable = values[np.isfinite(values) & (values > 0)].astype(np.float64)
+    if not usable.size:
+        return 0.5, 1.0
+    low, middle, high = (float(value) for value in np.percentile(usable, (1, 50, 99)))
+    high = min(high, LARGEST_RATIO * middle)
+    return low, max(high, 1.001 * low)
+
+
 def scalar_picture(
     values: Float[np.ndarray, "rows cols"],
     window: Window,
@@ -116,7 +130,7 @@ def scalar_picture(
     """Draw a map of one number a pixel; pixels without a value show the ground."""
     shown = window.cut(values)
     low, high = limits(values, symmetric=symmetric)
-    norm = LogNorm(max(low, high / 1e4, 1e-12), high) if logarithmic and high > 0 else Normalize(low, high)
+    norm = LogNorm(*positive_limits(values)) if logarithmic else Normalize(low, high)
 
     def draw(axes: Axes, key: Axes) -> None:
         image = axes.imshow(shown, extent=window.extent, cmap=colours, norm=norm, interpolation="nearest")

@@ -23,6 +23,7 @@ from recon.report.panel import Panel, Section
 from recon.status import REASONS, PixelStatus
 
 HISTOGRAM_SIZE, HISTOGRAM_BINS = (440, 104), 60
+HISTOGRAM_REACH = 10.0
 
 
 @dataclass(frozen=True, slots=True)
@@ -80,7 +81,8 @@ def scalar_maps(unit: LengthUnit, *, with_gap_sign: bool) -> tuple[ScalarMap, ..
         ScalarMap(
             "sd",
             "Standard deviation of each point",
-            "The uncertainty of each point as propagated from its correspondences (root of the covariance's trace).",
+            "The uncertainty of each point as propagated from its correspondences (root of the covariance's trace); "
+            "the colours end at a hundred times the median.",
             "Dark over most of the object, growing only where the angle between the paths is small.",
             "Bright areas: points there should be left out or weighted down.",
             f"sd ({length}, logarithmic)",
@@ -127,7 +129,7 @@ def distributions_panel(values: Mapping[str, Float[np.ndarray, "rows cols"]], un
         "How the values spread",
         "histograms.html.j2",
         {"charts": shown, "size": HISTOGRAM_SIZE},
-        "Pixels over value, from the 1st to the 99th percentile; full line: median, dashed line: 95th percentile.",
+        "Pixels over value, from the 1st percentile to the 99th or ten medians; full line: median, dashed: 95th percentile.",
         "One hump each; the gap's is narrow and stands on zero.",
         "Two humps (two surfaces, or sets that do not belong together), or a gap that does not stand on zero.",
         missing="" if shown else "No pixel has a value.",
@@ -138,6 +140,9 @@ def distributions_panel(values: Mapping[str, Float[np.ndarray, "rows cols"]], un
 def histogram_chart(values: Float64[np.ndarray, " values"], *, name: str, unit: str) -> dict[str, object]:
     """Return the drawing of one histogram."""
     low, middle, late, high = (float(v) for v in np.percentile(values, (1, 50, 95, 99)))
+    if low > 0:
+        # A standard deviation, unlike an angle or a gap, may exceed all others by powers of ten.
+        high = min(high, HISTOGRAM_REACH * middle)
     high = high if high > low else low + max(abs(low), 1e-6)
     counts, edges = np.histogram(values, bins=HISTOGRAM_BINS, range=(low, high))
     width, height = HISTOGRAM_SIZE
@@ -147,7 +152,7 @@ def histogram_chart(values: Float64[np.ndarray, " values"], *, name: str, unit: 
         "name": f"{name} ({unit})",
         "area": area_path(x, y, [(edge, float(count)) for edge, count in steps]),
         "middle": x.place(middle),
-        "late": x.place(late),
+        "late": x.place(late) if late <= high else None,
         "text": f"median {number(middle)}, 95th percentile {number(late)}",
         "ticks": x.ticks(5),
     }

@@ -22,8 +22,9 @@ class LengthUnit:
         return cls("mm", True) if name == "mm" else cls("scene units", False)
 
     def rename(self, unit: str) -> str:
-        """Return ``unit`` with mm replaced where the session has no physical length."""
-        return unit if self.physical else " ".join(self.label if word == "mm" else word for word in unit.split())
+        """Return the name of a metrics' unit on the page: mm as this session's length, deg as its sign."""
+        names = {"deg": "°", "mm": self.label}
+        return " ".join(names.get(word, word) for word in unit.split())
 
 
 def number(value: Real | None, digits: int = 3) -> str:

@@ -33,10 +33,8 @@ def device_banners(manifest: Manifest) -> tuple[Banner, ...]:
             ),
         )
     if unknown or not devices:
-        named = f"of {', '.join(unknown)} " if unknown else ""
-        return (
-            Banner("Origin not recorded.", f"The session does not say whether its devices {named}were real.", False),
-        )
+        named = " and ".join(unknown) or "devices"
+        return (Banner("Origin not recorded.", f"The session does not say whether its {named} were real.", False),)
     return ()
 
 
@@ -58,6 +56,23 @@ def devices_panel(manifest: Manifest) -> Panel:
     )
 
 
+def value_text(value: object) -> str:
+    """Write a setting: numbers with six significant digits, lists with commas.
+
+    Examples
+    --------
+    >>> value_text(0.017453292519943295), value_text(["x", "y"]), value_text(None)
+    ('0.0174533', 'x, y', 'none')
+    """
+    if value is None:
+        return "none"
+    if isinstance(value, float):
+        return f"{value:.6g}"
+    if isinstance(value, list | tuple):
+        return ", ".join(value_text(part) for part in value)
+    return str(value)
+
+
 def flatten(values: Mapping[str, object], prefix: str = "") -> list[tuple[str, str]]:
     """Return nested settings as rows of a dotted name and a value.
 
@@ -70,19 +85,36 @@ def flatten(values: Mapping[str, object], prefix: str = "") -> list[tuple[str, s
     for key, value in values.items():
         if isinstance(value, Mapping) and value:
             rows += flatten(value, f"{prefix}{key}.")
-        elif isinstance(value, list | tuple):
-            rows.append((f"{prefix}{key}", ", ".join(str(part) for part in value)))
         else:
-            rows.append((f"{prefix}{key}", str(value)))
+            rows.append((f"{prefix}{key}", value_text(value)))
     return rows
 
 
-def _table_panel(
-    id: str, title: str, headings: tuple[str, ...], rows: list[tuple[str, str]], none: str, *, wide: bool = False
-) -> Panel:
+def parameters_panel(metrics: Metrics) -> Panel:
+    """Return every parameter: a list, and a table for each kind of settings that comes more than once."""
+    alike: dict[tuple[str, ...], list[str]] = {}
+    for name, value in metrics.parameters.items():
+        if isinstance(value, Mapping) and value and not any(isinstance(part, Mapping) for part in value.values()):
+            alike.setdefault(tuple(value), []).append(name)
+    repeated = {keys: names for keys, names in alike.items() if len(names) > 1}
+    tables = []
+    for keys, names in repeated.items():
+        rows = []
+        for name in names:
+            values = metrics.parameters[name]
+            assert isinstance(values, Mapping)
+            rows.append((name, *(value_text(values[key]) for key in keys)))
+        tables.append(Table(("", *keys), tuple(rows), tuple(range(1, len(keys) + 1))))
+    in_tables = {name for names in repeated.values() for name in names}
+    single = {name: value for name, value in metrics.parameters.items() if name not in in_tables}
+    first = Table(("Parameter", "Value"), tuple(flatten({"method": metrics.method} | single)))
+    return Panel("parameters", "Parameters", "tables.html.j2", {"tables": (first, *tables)})
+
+
+def _table_panel(id: str, title: str, headings: tuple[str, ...], rows: list[tuple[str, str]], none: str) -> Panel:
     """Return a plain table of names and values."""
     data = {"table": Table(headings, tuple(rows))}
-    return Panel(id, title, "table.html.j2", data, missing="" if rows else none, wide=wide)
+    return Panel(id, title, "table.html.j2", data, missing="" if rows else none, wide=False)
 
 
 def stages_panel(metrics: Metrics) -> Panel:
@@ -118,13 +150,7 @@ def run_section(metrics: Metrics, manifest: Manifest) -> Section:
         (
             devices_panel(manifest),
             stages_panel(metrics),
-            _table_panel(
-                "parameters",
-                "Parameters",
-                ("Parameter", "Value"),
-                [("method", metrics.method), *flatten(metrics.parameters)],
-                "",
-            ),
+            parameters_panel(metrics),
             _table_panel(
                 "versions",
                 "Versions",
@@ -138,7 +164,6 @@ def run_section(metrics: Metrics, manifest: Manifest) -> Section:
                 ("Input", "Hash"),
                 list(metrics.hashes.items()),
                 "The run recorded no hashes.",
-                wide=True,
             ),
         ),
         "Enough to repeat the run and to check that the same files went in.",

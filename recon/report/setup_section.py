@@ -9,6 +9,7 @@ from recon.report.charts import Scale, line_path
 from recon.report.display_frame import frame_from_world, screen_corners, transform_points
 from recon.report.numbers import LengthUnit, number
 from recon.report.panel import Panel, Section, Table
+from recon.report.point_scene import SEED, box_of
 
 DRAWING_WIDTH = 720
 AXIS_HEIGHT = 46
@@ -121,9 +122,10 @@ def patterns_panel(manifest: Manifest) -> Panel:
 def drawing_panel(manifest: Manifest, maps: Maps, unit: LengthUnit) -> Panel:
     """Return the arrangement seen from the side, to scale."""
     frame = frame_from_world(manifest)
-    point_mm = maps.point_mm[np.isfinite(maps.point_mm).all(axis=-1)]
-    chosen = point_mm[:: max(1, len(point_mm) // DOTS)]
-    cloud = transform_points(frame, chosen)
+    cloud = transform_points(frame, maps.point_mm[maps.valid() & np.isfinite(maps.point_mm).all(axis=-1)])
+    if len(cloud):
+        cloud = cloud[box_of(cloud).inside(cloud)]
+        cloud = cloud[np.random.default_rng(SEED).permutation(len(cloud))[:DOTS]]
     width_mm = manifest.display.columns * manifest.display.pitch_mm
     height_mm = manifest.display.rows * manifest.display.pitch_mm
     screens = [screen_corners(frame, pose, width_mm=width_mm, height_mm=height_mm) for pose in manifest.display_poses]

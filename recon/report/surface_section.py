@@ -8,7 +8,7 @@ from recon.manifest import Manifest
 from recon.maps import Maps
 from recon.report import still
 from recon.report.display_frame import frame_from_world, rotate, screen_corners, transform_points
-from recon.report.map_pictures import limits
+from recon.report.map_pictures import limits, positive_limits
 from recon.report.numbers import LengthUnit, number
 from recon.report.panel import Panel, Section
 from recon.report.point_scene import (
@@ -72,7 +72,7 @@ def surface_panel(maps: Maps, manifest: Manifest, mesh: TriangleMesh | None, uni
         "mesh_note": "The run made no mesh, so only points are shown.",
         "size": f"{text} {unit.label}",
     }
-    sd_limits_mm = _sd_limits(inside)
+    sd_limits_mm = positive_limits(inside.sd_mm)
     blocks = {
         "points-place": packed_places(shown.point_mm, shown.sd_mm, box, sd_limits_mm=sd_limits_mm),
         "points-normal": packed_normals(shown.normal),
@@ -115,7 +115,7 @@ def scene_header(
         "elevation": still.ELEVATION_DEG,
         "screens": corners,
         "depth": _ramp("viridis", depth_limits_mm, unit),
-        "sd": _ramp("magma", _sd_limits(cloud), unit) if has_sd else None,
+        "sd": _ramp("magma", positive_limits(cloud.sd_mm), unit) if has_sd else None,
     }
 
 
@@ -129,15 +129,6 @@ def _ramp(colours: str, ends: tuple[float, float], unit: LengthUnit) -> dict[str
         "high_text": f"{number(float(ends[1]))} {unit.label}",
         "stops": stops.round(3).tolist(),
     }
-
-
-def _sd_limits(cloud: Cloud) -> tuple[float, float]:
-    """Return the ends of the logarithmic scale of sd; a harmless range where there is none."""
-    usable = cloud.sd_mm[np.isfinite(cloud.sd_mm) & (cloud.sd_mm > 0)].astype(np.float64)
-    if not usable.size:
-        return 0.5, 1.0
-    low, high = (float(value) for value in np.percentile(usable, (1, 99)))
-    return low, max(high, 1.001 * low)
 
 
 def _mesh_in_frame(mesh: TriangleMesh, frame: Float64[np.ndarray, "4 4"], box: Box) -> TriangleMesh:

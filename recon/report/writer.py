@@ -14,7 +14,7 @@ from recon.metrics import Metrics
 from recon.report.capture_section import capture_section
 from recon.report.map_section import map_section
 from recon.report.methods_section import methods_section
-from recon.report.numbers import LengthUnit, duration, number, share
+from recon.report.numbers import NOTHING, LengthUnit, duration, number, share
 from recon.report.page import render_page
 from recon.report.panel import Banner
 from recon.report.point_scene import TriangleMesh
@@ -125,18 +125,13 @@ def tiles(maps: Maps, metrics: Metrics, unit: LengthUnit) -> tuple[tuple[str, st
     gap = maps.gap_mm[maps.valid() & np.isfinite(maps.gap_mm)]
     count = len(metrics.warnings)
     warnings = "no warnings" if not count else f"{number(count)} warning{'s' if count > 1 else ''}"
-    found = [
+    return (
         ("Points with normals", number(funnel.normals), f"{share(funnel.normals, funnel.lit)} of the lit pixels"),
-        (
-            "Standard deviation",
-            f"{number(float(np.median(sd)))} {unit.label}" if sd.size else "—",
-            "median of the points",
-        ),
-        (
-            "Gap between paths",
-            f"{number(float(np.median(np.abs(gap))))} {unit.label}" if gap.size else "—",
-            "median of its size",
-        ),
+        ("Standard deviation", _median(sd), f"{unit.label}, median of the points"),
+        ("Gap between paths", _median(np.abs(gap)), f"{unit.label}, median of its size"),
         ("Time", duration(sum(stage.wall_s for stage in metrics.stages)), warnings),
-    ]
-    return tuple(found)
+    )
+
+
+def _median(values: Float[np.ndarray, " values"]) -> str:
+    return number(float(np.median(values))) if values.size else NOTHING

@@ -15,7 +15,7 @@ from recon.report import write_report
 from recon.report.numbers import LengthUnit
 from recon.report.page import render_page
 from recon.report.result_section import result_section
-from recon.report.run_section import device_banners
+from recon.report.run_section import device_banners, run_section
 from recon.status import REASONS, PixelStatus
 
 PANELS = (
@@ -267,6 +267,15 @@ def test_shows_the_rows_of_an_evaluation_with_units_in_their_headings() -> None:
     section = result_section(example_metrics(example_maps()), unit=LengthUnit.of("mm"), evaluation=rows)
     page = Page(render_page("a session", sections=(section,), kind="report"))
     assert "primitive radius (mm) normal median (°) inliers sphere 28.0 0.214 16,773" in page.text
+
+
+def test_settings_that_come_once_a_sweep_become_one_table() -> None:
+    noise = {"gain": 0.0086622, "misfit": None}
+    maps = example_maps(rows=30, cols=40, radius_px=12)
+    metrics = example_metrics(maps, parameters={"noise_x": noise, "noise_y": noise, "gap": {"sigma": 5.0}})
+    page = Page(render_page("a session", sections=(run_section(metrics, example_manifest()),), kind="report"))
+    assert "Parameter Value method full gap.sigma 5" in page.text
+    assert "gain misfit noise_x 0.0086622 none noise_y 0.0086622 none" in page.text
 
 
 def test_names_the_folder_when_the_report_cannot_be_written(tmp_path: Path) -> None:

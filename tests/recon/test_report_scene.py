@@ -8,6 +8,7 @@ from report_example import CENTRE_MM, RADIUS_MM, example_manifest, example_maps,
 
 from recon.manifest import Manifest
 from recon.report.display_frame import frame_from_world, rotate, transform_points
+from recon.report.map_pictures import positive_limits
 from recon.report.point_scene import (
     Box,
     Cloud,
@@ -96,3 +97,18 @@ def test_depth_is_the_distance_in_front_of_the_display_wherever_the_display_stan
     # The pose's y points down in the world's -y, so up on the display is +y of the world.
     assert transform_points(frame, seven_in_front)[0] == pytest.approx([-4.0, 3.0, 7.0])
     assert rotate(frame, into_screen[None])[0] == pytest.approx([0, 0, -1])
+
+
+def test_one_point_that_rests_on_nothing_does_not_set_the_scale_of_sd() -> None:
+    sd_mm = np.full(1000, 0.01)
+    sd_mm[:200] = np.geomspace(1, 1e15, 200)
+    low, high = positive_limits(sd_mm)
+    assert low == pytest.approx(0.01)
+    # A hundred medians.
+    assert high == pytest.approx(1.0)
+
+
+def test_a_scale_of_sd_is_usable_when_nothing_has_an_sd_or_all_have_the_same() -> None:
+    for values in (np.full(5, np.nan), np.zeros(5), np.full(5, 0.3)):
+        low, high = positive_limits(values)
+        assert 0 < low < high
