@@ -10,30 +10,30 @@ still tangential, so that noise does not enter.
 from dataclasses import dataclass
 
 import numpy as np
-from jaxtyping import Bool, Float64
 from scipy.ndimage import correlate1d, distance_transform_edt, median_filter
 from scipy.sparse import csr_array
 
 from recon.surface.neighbours import Neighbours, components, neighbours_of, normal_equations
+from recon.surface.ray_chords import (
+    Chords,
+    Mask,
+    PerPair,
+    PerPixel,
+    Rays,
+    ScalarMap,
+    VectorMap,
+    chords_of,
+    contradiction,
+    measured_pixels,
+    rays_of,
+)
 from recon.surface.sparse_solver import solver
-
-VectorMap = Float64[np.ndarray, "rows cols 3"]
-ScalarMap = Float64[np.ndarray, "rows cols"]
-Mask = Bool[np.ndarray, "rows cols"]
-PerPair = Float64[np.ndarray, " pairs"]
-PerPixel = Float64[np.ndarray, " pixels"]
 
 ROUNDS = 3
 # Geman and McClure's loss (1987) with this width keeps 95 % of the efficiency of least squares for Gaussian noise.
 LOSS_WIDTH_SD = 3.787
 NORMAL_CONSISTENT_MAD = 1.4826
-# Chords are never trusted more than this share of a distance's sd: beyond it double precision ends, and an error of a
-# chord adds up over a thousand pixels to only 30 times as much.
-SMALLEST_CHORD_SHARE = 1e-4
 START_WINDOW_PX = 5
-# A normal of which nothing is known still points into the liquid: about so far from the middle of a hemisphere. A pixel
-# with such a normal stays tied to its neighbours.
-LARGEST_NORMAL_SD_RAD = 1.0
 # Each round solves for a correction, which need not be known more closely than this share of itself.
 CORRECTION_TOLERANCE = 1e-5
 # Standard deviations are estimated from this many draws over this window: good to a tenth.
@@ -58,31 +58,6 @@ class FusedSurface:
     position_weight: ScalarMap
     normal_scale: float
     position_scale: float
-
-
-@dataclass(frozen=True, slots=True, eq=False)
-class _Rays:
-    """The used pixels as lists."""
-
-    origin: np.ndarray
-    direction: np.ndarray
-    measured: np.ndarray  # distance, NaN where there is none
-    precision: np.ndarray  # 1 / variance of the distance, 0 where there is none
-    normal: np.ndarray
-    tilt_variance: np.ndarray
-
-
-@dataclass(frozen=True, slots=True, eq=False)
-class _Chords:
-    """One equation a pair: at_first t_first + at_second t_second = right, with this variance."""
-
-    at_first: np.ndarray
-    at_second: np.ndarray
-    right: np.ndarray
-    variance: np.ndarray
-
-    def residual(self, graph: Neighbours, distance: np.ndarray) -> np.ndarray:
-        return self.at_first * distance[graph.first] + self.at_second * distance[graph.second] - self.right
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -127,15 +102,15 @@ def fuse_on_rays(
     """
     used = _usable(mask, origin_mm, direction, normal, normal_sd_rad, distance_mm, distance_sd_mm)
     graph = neighbours_of(used)
-    rays = _rays(origin_mm, direction, distance_mm, distance_sd_mm, normal, normal_sd_rad, used)
+    rays = rays_of(origin_mm, direction, distance_mm, distance_sd_mm, normal, normal_sd_rad, used)
     # The first guess is free of lone outliers, so that they and the jumps of depth are weighed down before they pull.
     distance = _first_guess(distance_mm, distance_sd_mm, used)
-    chords = _chords(rays, graph, distance)
-    pairs = _reweighted(_contradiction(chords, graph, rays, distance))
+    chords = chords_of(rays, graph, distance)
+    pairs = _reweighted(contradiction(chords, graph, rays, distance))
     positions = _position_weights(rays, distance)
     for _ in range(rounds if graph.pixels else 0):
         distance = _solve(graph, rays, chords, _system(graph, rays, chords, pairs, positions), distance)
-        chords = _chords(rays, graph, distance)
+        chords = chords_of(rays, graph, distance)
         pairs = _reweighted(chords.residual(graph, distance) / np.sqrt(chords.variance))
         positions = _position_weights(rays, distance)
     last = _system(graph, rays, chords, pairs, positions)
@@ -165,82 +140,18 @@ def _usable(
     used = mask & np.logical_and.reduce(complete) & (normal_sd_rad > 0)
     graph = neighbours_of(used)
     part = components(graph.pixels, graph.first, graph.second)
-    measured = np.bincount(part, _measured(distance_mm, distance_sd_mm)[used])
+    measured = np.bincount(part, measured_pixels(distance_mm, distance_sd_mm)[used])
     result = used.copy()
     result[used] = measured[part] > 0
     return result
 
 
-def _measured(distance_mm: ScalarMap, distance_sd_mm: ScalarMap) -> Mask:
-    return np.isfinite(distance_mm) & np.isfinite(distance_sd_mm) & (distance_sd_mm > 0)
-
-
-def _rays(
-    origin_mm: VectorMap,
-    direction: VectorMap,
-    distance_mm: ScalarMap,
-    distance_sd_mm: ScalarMap,
-    normal: VectorMap,
-    normal_sd_rad: ScalarMap,
-    used: Mask,
-) -> _Rays:
-    measured = _measured(distance_mm, distance_sd_mm)[used]
-    variance = np.where(measured, distance_sd_mm[used], np.inf) ** 2
-    return _Rays(
-        origin=origin_mm[used],
-        direction=direction[used],
-        measured=np.where(measured, distance_mm[used], 0.0),
-        precision=1 / variance,
-        normal=normal[used],
-        tilt_variance=np.minimum(normal_sd_rad[used], LARGEST_NORMAL_SD_RAD) ** 2 / 2,
-    )
-
-
 def _first_guess(distance_mm: ScalarMap, distance_sd_mm: ScalarMap, used: Mask) -> PerPixel:
     """Return a distance for every used pixel: a running median over a window, gaps filled from the nearest pixel."""
-    known = used & _measured(distance_mm, distance_sd_mm)
+    known = used & measured_pixels(distance_mm, distance_sd_mm)
     nearest = distance_transform_edt(~known, return_distances=False, return_indices=True)
     filled = distance_mm[tuple(nearest)]
     return median_filter(filled, START_WINDOW_PX)[used]
-
-
-def _chords(rays: _Rays, graph: Neighbours, distance: PerPixel) -> _Chords:
-    """Write down every pair's equation and its variance, for a surface near ``distance``."""
-    first, second = graph.first, graph.second
-    mean = rays.normal[first] + rays.normal[second]
-    mean /= np.maximum(np.linalg.norm(mean, axis=1, keepdims=True), np.finfo(float).tiny)
-    between = rays.origin[second] - rays.origin[first]
-    turn = rays.direction[second] - rays.direction[first]
-    # The chord without the noise of the distances: go from ray to ray at the mean distance, then along the ray onto
-    # the tangent plane.
-    across = between + (0.5 * (distance[first] + distance[second]))[:, None] * turn
-    along = 0.5 * (rays.direction[first] + rays.direction[second])
-    slope = (mean * along).sum(1)
-    slope = np.where(np.abs(slope) > 1e-6, slope, 1e-6)
-    squared_length = ((across - ((mean * across).sum(1) / slope)[:, None] * along) ** 2).sum(1)
-    if len(squared_length):
-        # Two pixels that share a ray are as far apart as rounding says.
-        squared_length = np.maximum(squared_length, 1e-6 * np.median(squared_length))
-    # A normal serves both pairs on its line, so that along a line its error adds up whole: one tilt's variance a pixel.
-    tilt_variance = 0.5 * (rays.tilt_variance[first] + rays.tilt_variance[second])
-    return _Chords(
-        at_first=-(mean * rays.direction[first]).sum(1),
-        at_second=(mean * rays.direction[second]).sum(1),
-        right=-(mean * between).sum(1),
-        variance=np.maximum(squared_length * tilt_variance, _smallest_variance(rays)),
-    )
-
-
-def _smallest_variance(rays: _Rays) -> float:
-    known = rays.precision > 0
-    return SMALLEST_CHORD_SHARE**2 / float(np.median(rays.precision[known])) if known.any() else 1.0
-
-
-def _contradiction(chords: _Chords, graph: Neighbours, rays: _Rays, distance: PerPixel) -> PerPair:
-    """Return by how many sd measured distances contradict a chord: large where depth jumps inside the mask."""
-    variance = np.divide(1.0, rays.precision, out=np.full(graph.pixels, np.inf), where=rays.precision > 0)
-    noise = chords.at_first**2 * variance[graph.first] + chords.at_second**2 * variance[graph.second]
-    return chords.residual(graph, distance) / np.sqrt(chords.variance + noise)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -252,26 +163,26 @@ class _System:
     own_weight: np.ndarray
 
 
-def _system(graph: Neighbours, rays: _Rays, chords: _Chords, pairs: _Weights, positions: _Weights) -> _System:
+def _system(graph: Neighbours, rays: Rays, chords: Chords, pairs: _Weights, positions: _Weights) -> _System:
     weight = pairs.weight / (pairs.scale**2 * chords.variance)
     own = positions.weight * rays.precision / positions.scale**2
     return _System(normal_equations(graph, chords.at_first, chords.at_second, weight, own), weight, own)
 
 
-def _gather(graph: Neighbours, chords: _Chords, per_chord: PerPair, per_pixel: PerPixel) -> PerPixel:
+def _gather(graph: Neighbours, chords: Chords, per_chord: PerPair, per_pixel: PerPixel) -> PerPixel:
     """Return Jᵀ applied to one value a chord and one a measured distance."""
     total = per_pixel + np.bincount(graph.first, chords.at_first * per_chord, minlength=graph.pixels)
     return total + np.bincount(graph.second, chords.at_second * per_chord, minlength=graph.pixels)
 
 
-def _solve(graph: Neighbours, rays: _Rays, chords: _Chords, system: _System, guess: PerPixel) -> PerPixel:
+def _solve(graph: Neighbours, rays: Rays, chords: Chords, system: _System, guess: PerPixel) -> PerPixel:
     """Minimise Σ weight · residual² / variance over chords and measured distances, by a correction to ``guess``."""
     chord_pull = -system.chord_weight * chords.residual(graph, guess)
-    right = _gather(graph, chords, chord_pull, system.own_weight * (rays.measured - guess))
+    right = _gather(graph, chords, chord_pull, system.own_weight * (rays.measured_mm - guess))
     return guess + solver(system.matrix, relative_tolerance=CORRECTION_TOLERANCE)(right, np.zeros_like(guess))
 
 
-def _standard_deviation(graph: Neighbours, chords: _Chords, system: _System) -> PerPixel:
+def _standard_deviation(graph: Neighbours, chords: Chords, system: _System) -> PerPixel:
     """Return the sd of each distance: the spread of solutions drawn from the equations' own noise.
 
     A right side Jᵀ W^½ z with standard normal z has the covariance of the normal equations, so its solutions have the
@@ -295,10 +206,10 @@ def _window_sum(values: ScalarMap) -> ScalarMap:
     return correlate1d(correlate1d(values, box, axis=0, mode="constant"), box, axis=1, mode="constant")
 
 
-def _position_weights(rays: _Rays, distance: PerPixel) -> _Weights:
+def _position_weights(rays: Rays, distance: PerPixel) -> _Weights:
     """Weigh the measured distances by their agreement with ``distance``; 0 where there is none."""
     known = rays.precision > 0
-    weights = _reweighted((distance - rays.measured)[known] * np.sqrt(rays.precision[known]))
+    weights = _reweighted((distance - rays.measured_mm)[known] * np.sqrt(rays.precision[known]))
     everywhere = np.zeros(len(distance))
     everywhere[known] = weights.weight
     return _Weights(everywhere, weights.scale)

@@ -1,0 +1,117 @@
+"""The light paths of a mask's pixels, and the equation that a normal writes down for each pair of neighbours."""
+
+from dataclasses import dataclass
+
+import numpy as np
+from jaxtyping import Bool, Float64
+
+from recon.surface.neighbours import Neighbours
+
+VectorMap = Float64[np.ndarray, "rows cols 3"]
+ScalarMap = Float64[np.ndarray, "rows cols"]
+Mask = Bool[np.ndarray, "rows cols"]
+PerPair = Float64[np.ndarray, " pairs"]
+PerPixel = Float64[np.ndarray, " pixels"]
+
+# Chords are never trusted more than this share of a distance's sd: beyond it double precision ends, and an error of a
+# chord adds up over a thousand pixels to only 30 times as much.
+SMALLEST_CHORD_SHARE = 1e-4
+# A normal of which nothing is known still points into the liquid: about so far from the middle of a hemisphere. A pixel
+# with such a normal stays tied to its neighbours.
+LARGEST_NORMAL_SD_RAD = 1.0
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Rays:
+    """The used pixels, row by row.
+
+    ``measured_mm`` is the triangulated distance, 0 with ``precision`` (1 / variance) 0 where there is none.
+    ``tilt_variance`` is that of one of the normal's two tilts.
+    """
+
+    origin: Float64[np.ndarray, "pixels 3"]
+    direction: Float64[np.ndarray, "pixels 3"]
+    measured_mm: PerPixel
+    precision: PerPixel
+    normal: Float64[np.ndarray, "pixels 3"]
+    tilt_variance: PerPixel
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Chords:
+    """One equation a pair: at_first t_first + at_second t_second = right, with this variance."""
+
+    at_first: PerPair
+    at_second: PerPair
+    right: PerPair
+    variance: PerPair
+
+    def residual(self, graph: Neighbours, distance: PerPixel) -> PerPair:
+        """Return by how much each chord leaves its tangent plane, in mm."""
+        return self.at_first * distance[graph.first] + self.at_second * distance[graph.second] - self.right
+
+
+def measured_pixels(distance_mm: ScalarMap, distance_sd_mm: ScalarMap) -> Mask:
+    """Return the pixels whose triangulated distance can count."""
+    return np.isfinite(distance_mm) & np.isfinite(distance_sd_mm) & (distance_sd_mm > 0)
+
+
+def rays_of(
+    origin_mm: VectorMap,
+    direction: VectorMap,
+    distance_mm: ScalarMap,
+    distance_sd_mm: ScalarMap,
+    normal: VectorMap,
+    normal_sd_rad: ScalarMap,
+    used: Mask,
+) -> Rays:
+    """Gather what is known of the used pixels."""
+    measured = measured_pixels(distance_mm, distance_sd_mm)[used]
+    variance = np.where(measured, distance_sd_mm[used], np.inf) ** 2
+    return Rays(
+        origin=origin_mm[used],
+        direction=direction[used],
+        measured_mm=np.where(measured, distance_mm[used], 0.0),
+        precision=1 / variance,
+        normal=normal[used],
+        tilt_variance=np.minimum(normal_sd_rad[used], LARGEST_NORMAL_SD_RAD) ** 2 / 2,
+    )
+
+
+def chords_of(rays: Rays, graph: Neighbours, distance: PerPixel) -> Chords:
+    """Write down every pair's equation and its variance, for a surface near ``distance``."""
+    first, second = graph.first, graph.second
+    mean = rays.normal[first] + rays.normal[second]
+    mean /= np.maximum(np.linalg.norm(mean, axis=1, keepdims=True), np.finfo(float).tiny)
+    between = rays.origin[second] - rays.origin[first]
+    turn = rays.direction[second] - rays.direction[first]
+    # The chord without the noise of the distances: go from ray to ray at the mean distance, then along the ray onto
+    # the tangent plane.
+    across = between + (0.5 * (distance[first] + distance[second]))[:, None] * turn
+    along = 0.5 * (rays.direction[first] + rays.direction[second])
+    slope = (mean * along).sum(1)
+    slope = np.where(np.abs(slope) > 1e-6, slope, 1e-6)
+    squared_length = ((across - ((mean * across).sum(1) / slope)[:, None] * along) ** 2).sum(1)
+    if len(squared_length):
+        # Two pixels that share a ray are as far apart as rounding says.
+        squared_length = np.maximum(squared_length, 1e-6 * np.median(squared_length))
+    # A normal serves both pairs on its line, so that along a line its error adds up whole: one tilt's variance a pixel.
+    tilt_variance = 0.5 * (rays.tilt_variance[first] + rays.tilt_variance[second])
+    return Chords(
+        at_first=-(mean * rays.direction[first]).sum(1),
+        at_second=(mean * rays.direction[second]).sum(1),
+        right=-(mean * between).sum(1),
+        variance=np.maximum(squared_length * tilt_variance, _smallest_variance(rays)),
+    )
+
+
+def _smallest_variance(rays: Rays) -> float:
+    known = rays.precision > 0
+    return SMALLEST_CHORD_SHARE**2 / float(np.median(rays.precision[known])) if known.any() else 1.0
+
+
+def contradiction(chords: Chords, graph: Neighbours, rays: Rays, distance: PerPixel) -> PerPair:
+    """Return by how many sd measured distances contradict a chord: large where depth jumps inside the mask."""
+    variance = np.divide(1.0, rays.precision, out=np.full(graph.pixels, np.inf), where=rays.precision > 0)
+    noise = chords.at_first**2 * variance[graph.first] + chords.at_second**2 * variance[graph.second]
+    return chords.residual(graph, distance) / np.sqrt(chords.variance + noise)
