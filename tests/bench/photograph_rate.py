@@ -28,13 +28,13 @@ def measure(scene: Scene, *, photos: int, threads: int) -> dict[str, float]:
     conditions = [{"wet": False}, {"wet": True}]
     if scene.method == "thin":
         conditions = [{"wet": False}, {"wet": False, "object_present": False}]
-    started = time.perf_counter()
+    started, started_cpu = time.perf_counter(), time.process_time()
     sets = [{"stage_position_mm": place, **condition} for condition in conditions for place in scene.stage_positions_mm]
     axes: tuple[Axis, Axis] = ("x", "y")
     for settings in sets:
         for axis in axes:
             photographer.photograph(stripe(scene, axis, 0), **settings)
-    traced = time.perf_counter()
+    traced, traced_cpu = time.perf_counter(), time.process_time()
 
     def take(number: int) -> int:
         axis = axes[number % 2]
@@ -44,10 +44,12 @@ def measure(scene: Scene, *, photos: int, threads: int) -> dict[str, float]:
 
     with ThreadPoolExecutor(threads) as pool:
         size = sum(pool.map(take, range(photos)))
-    done = time.perf_counter()
+    done, done_cpu = time.perf_counter(), time.process_time()
     return {
         "tracing_s": round(traced - started, 2),
+        "tracing_cpu_s": round(traced_cpu - started_cpu, 2),
         "photos_per_s": round(photos / (done - traced), 1),
+        "cpu_ms_per_photo": round(1000 * (done_cpu - traced_cpu) / photos, 2),
         "bytes_per_photo": size / photos,
         "peak_memory_mb": resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1024,
     }

@@ -189,6 +189,30 @@ def test_the_displays_gamma_turns_half_drive_into_its_power_of_light(scene: Scen
     assert lit[32, 32] == pytest.approx(255 * (0.01 + 0.9 * (128 / 255) ** 2.2), rel=1e-5)
 
 
+def test_the_cameras_response_bends_grey_levels(scene: Scene) -> None:
+    camera = scene.camera.model_copy(update={"response_gamma": 2.2})
+    photographer = Photographer(scene.model_copy(update={"camera": camera, "fresnel": False}))
+    frame = Frame("x", np.full(96, 128, np.uint8))
+    settings = {"stage_position_mm": 10.0, "wet": False, "object_present": False}
+    value = 0.01 + 0.9 * 128 / 255
+    assert photographer.expected(frame, **settings)[32, 32] == pytest.approx(255 * value ** (1 / 2.2), rel=1e-5)
+    photo = simplejpeg.decode_jpeg(photographer.photograph(frame, **settings), "GRAY")[8:56, 8:56, 0]
+    assert photo.mean() == pytest.approx(255 * value ** (1 / 2.2), abs=0.3)
+
+
+def test_blur_widens_a_stripe_and_keeps_its_light(scene: Scene) -> None:
+    camera = scene.camera.model_copy(update={"blur_px": 1.5})
+    frame = Frame("x", stripe(48, 96, 2))
+    settings = {"stage_position_mm": 10.0, "wet": False, "object_present": False}
+    sharp = Photographer(scene).expected(frame, **settings)[32] - 2.55
+    blurred = Photographer(scene.model_copy(update={"camera": camera})).expected(frame, **settings)[32] - 2.55
+    column = np.arange(64)
+    widths = [np.sqrt(np.average((column - column @ row / row.sum()) ** 2, weights=row)) for row in (sharp, blurred)]
+    assert blurred.sum() == pytest.approx(sharp.sum(), rel=1e-3)
+    # Variances add; the kernel is cut off at three to four standard deviations.
+    assert widths[1] ** 2 - widths[0] ** 2 == pytest.approx(1.5**2, rel=0.05)
+
+
 def test_boundaries_of_the_glass_take_their_share_of_light(scene: Scene) -> None:
     lit = Photographer(scene).expected(Frame("x", np.full(96, 255, np.uint8)), stage_position_mm=10.0, wet=False)
     # On the axis: two passages between 1 and 1.5, each keeping 0.96.

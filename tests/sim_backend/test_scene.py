@@ -1,12 +1,14 @@
 """Scenes: loading, sizes, and the objects they hold."""
 
+import re
 from pathlib import Path
 
 import numpy as np
 import pytest
 
+from sim_backend.light_paths import meet_display, pixel_centre_paths
 from sim_backend.photography import Photographer
-from sim_backend.scene import SceneError, load_scene, scene_names
+from sim_backend.scene import SceneError, SceneVariation, load_scene, scene_names
 from sim_backend.truth import Truth, TruthStatus, save_truth
 
 HEMISPHERE = Path(__file__).parents[2] / "sim_backend" / "scenes" / "hemisphere.toml"
@@ -170,6 +172,55 @@ def test_a_glass_nobody_knows_or_with_another_index_is_refused(tmp_path: Path) -
     path.write_text(HEMISPHERE.read_text().replace("n_object = 1.5195", 'glass = "N-BK7"\nn_object = 1.6'))
     with pytest.raises(SceneError, match="n_object follows from glass 'N-BK7'"):
         load_scene(path)
+
+
+@pytest.mark.parametrize("name", ["hemisphere", "concave_cone", "ornament", "bottle", "semi_ellipsoid"])
+def test_the_paths_in_air_and_liquid_cross_at_the_true_point_and_give_its_normal(name: str) -> None:
+    scene = load_scene(name).resized(camera_columns=48)
+    truth = Photographer(scene).truth()
+    judged = (truth.status == TruthStatus.JUDGED).ravel()
+    point, normal = truth.point_mm.reshape(-1, 3)[judged], truth.normal.reshape(-1, 3)[judged]
+    directions = []
+    for wet in (False, True):
+        paths = pixel_centre_paths(scene, scene.world(wet=wet))
+        ends = []
+        for position in scene.stage_positions_mm:
+            hits = meet_display(scene, position, paths.origin, paths.direction, paths.n)
+            x_mm = (hits.x_mm[judged] + 0.5 - scene.display.columns / 2) * scene.display.pitch_mm
+            y_mm = (hits.y_mm[judged] + 0.5 - scene.display.rows / 2) * scene.display.pitch_mm
+            ends.append(np.column_stack([x_mm, y_mm, np.full(len(x_mm), position)]))
+        direction = (ends[1] - ends[0]) / np.linalg.norm(ends[1] - ends[0], axis=1)[:, None]
+        # The true point lies on the line through both places on the display.
+        np.testing.assert_allclose(np.cross(point - ends[0], direction), 0, atol=1e-8)
+        directions.append(direction)
+    # Snell's law in vector form: n_liquid U - n_air V is along the normal (paper, section 5).
+    along = scene.n_liquid * directions[1] - scene.n_air * directions[0]
+    np.testing.assert_allclose(along / np.linalg.norm(along, axis=1)[:, None], normal, atol=1e-8)
+
+
+def test_the_scene_of_the_guide_can_be_photographed(tmp_path: Path) -> None:
+    page = (Path(__file__).parents[2] / "docs" / "how-to" / "write-a-scene.md").read_text("utf-8")
+    whole, variation = re.findall(r"```toml\n(.*?)```", page, re.DOTALL)
+    path = tmp_path / "mine.toml"
+    path.write_text(whole + variation, "utf-8")
+    scene = load_scene(path).resized(camera_columns=48)
+    assert scene.index_variation is not None
+    assert scene.display.cover_glass is not None
+    assert (Photographer(scene).truth().status == TruthStatus.JUDGED).any()
+
+
+def test_glass_of_varying_index_leaves_the_true_points_on_the_surface() -> None:
+    scene = load_scene("hemisphere").resized(camera_columns=48)
+    plain = Photographer(scene).truth()
+    varied = scene.model_copy(update={"index_variation": SceneVariation(radial_per_mm2=-2e-5, step_mm=0.5)})
+    truth = Photographer(varied).truth()
+    both = (plain.status == TruthStatus.JUDGED) & (truth.status == TruthStatus.JUDGED)
+    point = truth.point_mm[both]
+    np.testing.assert_allclose(np.linalg.norm(point, axis=1), 27.99, atol=1e-9)
+    # An index that falls outwards gathers light, as the camera sees it: rays turn towards the axis. Over the path of
+    # up to 28 mm a ray at r = 10 turns by 2 · 2e-5 · 10 / 1.52 a millimetre and moves by half of that times 28².
+    inward = np.hypot(plain.point_mm[both][:, 0], plain.point_mm[both][:, 1]) - np.hypot(point[:, 0], point[:, 1])
+    assert 0.03 < inward.max() < 2 * 2e-5 * 16 / 1.52 * 28**2 / 2
 
 
 def test_a_thin_scene_cannot_be_photographed_wet() -> None:
