@@ -28,7 +28,7 @@ class SemiEllipsoid(SpecimenPart):
     kind: Literal["semi_ellipsoid"] = "semi_ellipsoid"
     semi_axes_mm: tuple[Length, Length, Length]
 
-    def bodies(self, *, n_object: float, n_air: float) -> tuple[Body, ...]:  # noqa: ARG002 - one signature for all
+    def bodies(self, *, n_object: float, n_air: float) -> tuple[Body, ...]:  # noqa: ARG002 - one signature
         """Return the solid piece."""
         return (
             Body(intersection(ellipsoid((0, 0, 0), self.semi_axes_mm), half_space((0, 0, 0), (0, 0, -1))), n_object),
@@ -44,7 +44,7 @@ class ConcaveCone(SpecimenPart):
     cone_height_mm: Length
     cone_radius_mm: Length
 
-    def bodies(self, *, n_object: float, n_air: float) -> tuple[Body, ...]:  # noqa: ARG002
+    def bodies(self, *, n_object: float, n_air: float) -> tuple[Body, ...]:  # noqa: ARG002 - one signature
         """Return the solid piece."""
         rod = intersection(cylinder((0, 0, 0), (0, 0, 1), self.radius_mm), *slab(-self.height_mm, 0))
         hollow = cone((0, 0, -self.cone_height_mm), (0, 0, 1), self.cone_radius_mm / self.cone_height_mm)
@@ -57,7 +57,7 @@ class Hemisphere(SpecimenPart):
     kind: Literal["hemisphere"] = "hemisphere"
     radius_mm: Length
 
-    def bodies(self, *, n_object: float, n_air: float) -> tuple[Body, ...]:  # noqa: ARG002
+    def bodies(self, *, n_object: float, n_air: float) -> tuple[Body, ...]:  # noqa: ARG002 - one signature
         """Return the solid piece."""
         return (Body(intersection(sphere((0, 0, 0), self.radius_mm), half_space((0, 0, 0), (0, 0, -1))), n_object),)
 
@@ -70,7 +70,7 @@ class ThinCone(SpecimenPart):
     radius_mm: Length
     padding_mm: Annotated[float, Field(ge=0)]
 
-    def bodies(self, *, n_object: float, n_air: float) -> tuple[Body, ...]:  # noqa: ARG002
+    def bodies(self, *, n_object: float, n_air: float) -> tuple[Body, ...]:  # noqa: ARG002 - one signature
         """Return the solid piece; cone and padding are one body, without a boundary between them."""
         solid: Solid = intersection(
             cone((0, 0, self.height_mm), (0, 0, -1), self.radius_mm / self.height_mm),
@@ -90,7 +90,7 @@ class ThinShell(SpecimenPart):
     radius_mm: Length
     shift_mm: Length
 
-    def bodies(self, *, n_object: float, n_air: float) -> tuple[Body, ...]:  # noqa: ARG002
+    def bodies(self, *, n_object: float, n_air: float) -> tuple[Body, ...]:  # noqa: ARG002 - one signature
         """Return the solid piece."""
         return (
             Body(
@@ -109,7 +109,7 @@ class Ornament(SpecimenPart):
     radius_mm: Length
     facet_tilts_deg: Annotated[tuple[Annotated[float, Field(gt=0, lt=90)], ...], Field(min_length=3)]
 
-    def bodies(self, *, n_object: float, n_air: float) -> tuple[Body, ...]:  # noqa: ARG002
+    def bodies(self, *, n_object: float, n_air: float) -> tuple[Body, ...]:  # noqa: ARG002 - one signature
         """Return the solid piece."""
         azimuths = 2 * np.pi * np.arange(len(self.facet_tilts_deg)) / len(self.facet_tilts_deg)
         facets = []
@@ -144,7 +144,7 @@ class RoundPlate(SpecimenPart):
     relief_mm: Length
     period_mm: Length
 
-    def bodies(self, *, n_object: float, n_air: float) -> tuple[Body, ...]:  # noqa: ARG002
+    def bodies(self, *, n_object: float, n_air: float) -> tuple[Body, ...]:  # noqa: ARG002 - one signature
         """Return the solid piece."""
         outline = cylinder((0, 0, 0), (0, 0, 1), self.diameter_mm / 2)
         relief = Relief(Rings(self.thickness_mm, self.relief_mm, self.period_mm))
@@ -164,7 +164,7 @@ class FishPlate(SpecimenPart):
     relief_mm: Length
     period_mm: Length
 
-    def bodies(self, *, n_object: float, n_air: float) -> tuple[Body, ...]:  # noqa: ARG002
+    def bodies(self, *, n_object: float, n_air: float) -> tuple[Body, ...]:  # noqa: ARG002 - one signature
         """Return the solid piece."""
         half_length, half_width = self.length_mm / 2, self.width_mm / 2
         body = elliptic_cylinder((-0.2 * half_length, 0, 0), 0.8 * half_length, 0.75 * half_width)

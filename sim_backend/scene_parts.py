@@ -1,0 +1,98 @@
+"""The parts of a scene: display, camera, tank, stripe and glass, as a scene file describes them."""
+
+from typing import Annotated, Literal
+
+import numpy as np
+from pydantic import BaseModel, ConfigDict, Field
+
+Finite = Annotated[float, Field(allow_inf_nan=False)]
+Positive = Annotated[float, Field(gt=0, allow_inf_nan=False)]
+Count = Annotated[int, Field(gt=0)]
+Index = Annotated[float, Field(ge=1.0, le=4.0)]
+Vector = tuple[Finite, Finite, Finite]
+
+
+class ScenePart(BaseModel):
+    """Common behaviour of every part of a scene: unchangeable, and no field that we do not know."""
+
+    model_config = ConfigDict(frozen=True, extra="forbid")
+
+
+class SceneGlass(ScenePart):
+    """A plane sheet over the display's pixels."""
+
+    thickness_mm: Positive
+    n: Index
+
+
+class SceneDisplay(ScenePart):
+    """The panel: its pixels, how drive level turns into light, and where its pixel plane stands at stage position 0.
+
+    Light is ``(level / 255) ** gamma``, from 0 to 1. The stage carries the panel along ``stage_direction``.
+    """
+
+    columns: Count
+    rows: Count
+    pitch_mm: Positive
+    gamma: Positive = 1.0
+    primary: Literal["white", "red", "green", "blue"] = "white"
+    cover_glass: SceneGlass | None = None
+    centre_mm: Vector = (0.0, 0.0, 0.0)
+    x_axis: Vector = (1.0, 0.0, 0.0)
+    y_axis: Vector = (0.0, 1.0, 0.0)
+    stage_direction: Vector = (0.0, 0.0, 1.0)
+
+
+class SceneCamera(ScenePart):
+    """The camera: where it stands, its lens, and what its sensor adds.
+
+    A pixel that sees a fully lit display without loss has ``ambient + signal`` of full scale, a dark one ``ambient``.
+    ``full_well_electrons`` is full scale. The photo's grey level is 255 · value ^ (1 / response_gamma).
+    """
+
+    columns: Count
+    rows: Count
+    position_mm: Vector
+    x_axis: Vector = (1.0, 0.0, 0.0)
+    y_axis: Vector = (0.0, 1.0, 0.0)
+    focal_x_px: Positive
+    focal_y_px: Positive
+    centre_x_px: Finite
+    centre_y_px: Finite
+    distortion: tuple[Finite, ...] = ()
+    supersampling: Annotated[int, Field(ge=1, le=8)] = 2
+    blur_px: Annotated[float, Field(ge=0)] = 0.0
+    full_well_electrons: Positive = 20000.0
+    read_noise_electrons: Annotated[float, Field(ge=0)] = 12.0
+    signal: Annotated[float, Field(gt=0, le=2)] = 0.9
+    ambient: Annotated[float, Field(ge=0, le=1)] = 0.01
+    response_gamma: Positive = 1.0
+    jpeg_quality: Annotated[int, Field(ge=1, le=100)] = 95
+
+    def world_from_camera(self) -> np.ndarray:
+        """Return the 3 by 3 matrix whose columns are the camera's x, y and forward axes."""
+        x, y = np.array(self.x_axis), np.array(self.y_axis)
+        return np.column_stack([x, y, np.cross(x, y)])
+
+
+class Tank(ScenePart):
+    """How much liquid the tank takes, and how much of it raises the level from dry to wet."""
+
+    free_volume_ml: Positive = 6000.0
+    fill_ml: Positive = 4000.0
+
+
+class SuggestedStripe(ScenePart):
+    """The stripe that suits the scene, in device pixels."""
+
+    profile: Literal["hard", "raised_cosine"] = "raised_cosine"
+    width_px: Positive = 6.0
+    step_px: Positive = 1.0
+
+
+class SceneVariation(ScenePart):
+    """Glass whose index varies with place: n_object + axial_per_mm · z + radial_per_mm2 · (x² + y²)."""
+
+    axial_per_mm: Finite = 0.0
+    radial_per_mm2: Finite = 0.0
+    step_mm: Positive = 0.1
