@@ -24,6 +24,13 @@ def transform_points(
     return point_mm @ matrix[:3, :3].T + matrix[:3, 3]
 
 
+def depths(
+    matrix: Float64[np.ndarray, "4 4"], point_mm: Float64[np.ndarray, "*grid 3"]
+) -> Float64[np.ndarray, "*grid"]:
+    """Return only the third coordinate of the points in another frame."""
+    return point_mm @ matrix[2, :3] + matrix[2, 3]
+
+
 def rotate(
     matrix: Float64[np.ndarray, "4 4"], normal: Float64[np.ndarray, "*grid 3"]
 ) -> Float64[np.ndarray, "*grid 3"]:

@@ -145,9 +145,12 @@ def scalar_picture(
     return _both_themes(draw, window, alt, with_key=True)
 
 
-def normal_picture(normal: Float64[np.ndarray, "rows cols 3"], window: Window, *, alt: str) -> Picture:
-    """Draw normals as colours: x red, y green, -z blue, from -1 (none) to 1 (full), with a half ball as the key."""
-    shown = normal_colours(window.cut(normal))
+def normal_picture(normal: Float64[np.ndarray, "shown_rows shown_cols 3"], window: Window, *, alt: str) -> Picture:
+    """Draw normals as colours: x red, y green, -z blue, from -1 (none) to 1 (full), with a half ball as the key.
+
+    ``normal`` is already cut to the window, in the frame of the report.
+    """
+    shown = normal_colours(normal)
 
     def draw(axes: Axes, key: Axes) -> None:
         axes.imshow(shown, extent=window.extent, interpolation="nearest")

@@ -9,7 +9,7 @@ from jaxtyping import Float, Float64, UInt8
 from recon.manifest import Manifest
 from recon.maps import Maps
 from recon.report.charts import Scale, area_path
-from recon.report.display_frame import frame_from_world, rotate, transform_points
+from recon.report.display_frame import depths, frame_from_world, rotate
 from recon.report.map_pictures import (
     STATUS_COLOURS,
     Picture,
@@ -97,14 +97,14 @@ def map_section(maps: Maps, manifest: Manifest, *, unit: LengthUnit, longest_px:
     """Return the section of maps; ``longest_px`` bounds the samples along a picture's longer side."""
     frame = frame_from_world(manifest)
     values: dict[str, Float[np.ndarray, "rows cols"]] = {
-        "depth": transform_points(frame, maps.point_mm)[..., 2],
+        "depth": depths(frame, maps.point_mm),
         "angle": np.degrees(maps.pbc_angle_rad),
         "gap": maps.gap_mm,
         "sd": maps.sd_mm,
     }
     signed = bool((maps.gap_mm[np.isfinite(maps.gap_mm)] < 0).any())
     panels = [_scalar_panel(each, values[each.id], longest_px) for each in scalar_maps(unit, with_gap_sign=signed)]
-    panels.insert(1, _normal_panel(rotate(frame, maps.normal), longest_px))
+    panels.insert(1, _normal_panel(frame, maps.normal, longest_px))
     panels.append(distributions_panel(values, unit))
     panels.append(_status_panel(maps.status, longest_px))
     return Section(
@@ -188,18 +188,21 @@ def _scalar_panel(settings: ScalarMap, values: Float[np.ndarray, "rows cols"], l
     )
 
 
-def _normal_panel(normal: Float[np.ndarray, "rows cols 3"], longest_px: int) -> Panel:
+def _normal_panel(
+    frame: Float64[np.ndarray, "4 4"], normal: Float64[np.ndarray, "rows cols 3"], longest_px: int
+) -> Panel:
     known = np.isfinite(normal).all(axis=-1)
     picture, step = None, 1
     if known.any():
         window = window_around(known, longest_px=longest_px)
         step = window.step
-        tilt_deg = np.degrees(np.arccos(np.clip(-normal[known][:, 2], -1, 1)))
+        shown = rotate(frame, window.cut(normal))
+        tilt_deg = np.degrees(np.arccos(np.clip(-shown[..., 2], -1, 1)))
         picture = normal_picture(
-            normal,
+            shown,
             window,
             alt="Map of normals as colours; their "
-            f"median tilt from the display's axis is {number(float(np.median(tilt_deg)))}°.",
+            f"median tilt from the display's axis is {number(float(np.nanmedian(tilt_deg)))}°.",
         )
     return Panel(
         "normal",
@@ -215,13 +218,12 @@ def _normal_panel(normal: Float[np.ndarray, "rows cols 3"], longest_px: int) -> 
 
 
 def _status_panel(pixel_status: UInt8[np.ndarray, "rows cols"], longest_px: int) -> Panel:
-    found, counts = np.unique(pixel_status, return_counts=True)
-    count_of = dict(zip(found.tolist(), counts.tolist(), strict=True))
+    count_of = np.bincount(pixel_status.ravel(), minlength=len(PixelStatus)).tolist()
     rows = [
-        (STATUS_COLOURS[status], status.name.lower().replace("_", " "), REASONS[status], count_of.get(int(status), 0))
+        (STATUS_COLOURS[status], status.name.lower().replace("_", " "), REASONS[status], count_of[status])
         for status in PixelStatus
     ]
-    with_point = share(count_of.get(int(PixelStatus.OK), 0), pixel_status.size)
+    with_point = share(count_of[PixelStatus.OK], pixel_status.size)
     picture = status_picture(
         pixel_status,
         longest_px=longest_px,

@@ -58,12 +58,6 @@ def box_of(point_mm: Float64[np.ndarray, "points 3"]) -> Box:
     return Box(np.maximum(low - room, point_mm.min(axis=0)), np.minimum(high + room, point_mm.max(axis=0)))
 
 
-def thin(cloud: Cloud, *, most: int) -> Cloud:
-    """Return at most ``most`` points in random order, so that any first part of them covers the object."""
-    order = np.random.default_rng(SEED).permutation(len(cloud.point_mm))[:most]
-    return cloud[order]
-
-
 def cluster_mesh(mesh: TriangleMesh, *, most: int) -> TriangleMesh:
     """Merge vertices that share a cell of a grid until at most about ``most`` are left.
 

@@ -122,10 +122,10 @@ def patterns_panel(manifest: Manifest) -> Panel:
 def drawing_panel(manifest: Manifest, maps: Maps, unit: LengthUnit) -> Panel:
     """Return the arrangement seen from the side, to scale."""
     frame = frame_from_world(manifest)
-    cloud = transform_points(frame, maps.point_mm[maps.valid() & np.isfinite(maps.point_mm).all(axis=-1)])
+    pixels = np.random.default_rng(SEED).permutation(np.flatnonzero(maps.valid()))[: 10 * DOTS]
+    cloud = transform_points(frame, maps.point_mm.reshape(-1, 3)[pixels])
     if len(cloud):
-        cloud = cloud[box_of(cloud).inside(cloud)]
-        cloud = cloud[np.random.default_rng(SEED).permutation(len(cloud))[:DOTS]]
+        cloud = cloud[box_of(cloud).inside(cloud)][:DOTS]
     width_mm = manifest.display.columns * manifest.display.pitch_mm
     height_mm = manifest.display.rows * manifest.display.pitch_mm
     screens = [screen_corners(frame, pose, width_mm=width_mm, height_mm=height_mm) for pose in manifest.display_poses]

@@ -14,6 +14,7 @@ from recon.report.panel import Panel, Section
 from recon.report.point_scene import (
     MESH_VERTICES_SHOWN,
     POINTS_SHOWN,
+    SEED,
     Box,
     Cloud,
     TriangleMesh,
@@ -24,7 +25,6 @@ from recon.report.point_scene import (
     packed_normals,
     packed_places,
     sd_at,
-    thin,
 )
 
 STOPS = 16
@@ -35,9 +35,10 @@ def surface_section(maps: Maps, manifest: Manifest, mesh: TriangleMesh | None, *
     return Section("surface", "Surface", (surface_panel(maps, manifest, mesh, unit),))
 
 
-def cloud_of(maps: Maps, frame: Float64[np.ndarray, "4 4"]) -> Cloud:
-    """Return the pixels that have a point, in the frame of the report."""
-    known = maps.valid() & np.isfinite(maps.point_mm).all(axis=-1)
+def cloud_of(maps: Maps, frame: Float64[np.ndarray, "4 4"], *, most: int) -> Cloud:
+    """Return at most ``most`` of the pixels that have a point, in random order and in the frame of the report."""
+    pixels = np.flatnonzero(maps.valid())
+    known = np.unravel_index(np.random.default_rng(SEED).permutation(pixels)[:most], maps.status.shape)
     return Cloud(
         transform_points(frame, maps.point_mm[known]),
         rotate(frame, maps.normal[known]),
@@ -48,7 +49,7 @@ def cloud_of(maps: Maps, frame: Float64[np.ndarray, "4 4"]) -> Cloud:
 def surface_panel(maps: Maps, manifest: Manifest, mesh: TriangleMesh | None, unit: LengthUnit) -> Panel:
     """Return the 3-D view of the points and, where there is one, the mesh."""
     frame = frame_from_world(manifest)
-    cloud = cloud_of(maps, frame)
+    cloud = cloud_of(maps, frame, most=still.POINTS_DRAWN)
     what = "Points and mesh as the display sees them at first. Everything is in the frame of the display at position 0."
     good = "A closed, smooth surface with the object's proportions."
     bad = "A surface that is torn, doubled or bent where the object is not."
@@ -57,18 +58,17 @@ def surface_panel(maps: Maps, manifest: Manifest, mesh: TriangleMesh | None, uni
     box = box_of(cloud.point_mm)
     inside = cloud[box.inside(cloud.point_mm)]
     depth_limits_mm = limits(inside.point_mm[:, 2])
-    picture = thin(inside, most=still.POINTS_DRAWN)
-    shown = thin(inside, most=POINTS_SHOWN)
+    shown = inside[np.arange(min(POINTS_SHOWN, len(inside.point_mm)))]
     size = box.high_mm - box.low_mm
     text = " × ".join(number(float(side)) for side in size)
     data: dict[str, object] = {
-        "still": still.still_png(picture, depth_limits_mm=depth_limits_mm),
+        "still": still.still_png(inside, depth_limits_mm=depth_limits_mm),
         "still_size": (still.WIDTH_PX, still.HEIGHT_PX),
         "scene": scene_header(inside, box, depth_limits_mm, manifest, unit),
         "blocks": {},
         "points": len(shown.point_mm),
-        "of_points": len(cloud.point_mm),
-        "outside": len(cloud.point_mm) - len(inside.point_mm),
+        "of_points": int(maps.valid().sum()),
+        "outside": len(inside.point_mm) < len(cloud.point_mm),
         "mesh_note": "The run made no mesh, so only points are shown.",
         "size": f"{text} {unit.label}",
     }
@@ -135,7 +135,6 @@ def _mesh_in_frame(mesh: TriangleMesh, frame: Float64[np.ndarray, "4 4"], box: B
     """Return the part of the mesh inside the box, in the frame of the report."""
     vertex_mm = transform_points(frame, mesh.vertex_mm)
     face = mesh.face[box.inside(vertex_mm)[mesh.face].all(axis=1)]
-    used = np.unique(face)
-    number_of = np.zeros(len(vertex_mm), dtype=np.int64)
-    number_of[used] = np.arange(len(used))
-    return TriangleMesh(vertex_mm[used], number_of[face], rotate(frame, mesh.normal[used]))
+    used = np.zeros(len(vertex_mm), dtype=bool)
+    used[face.ravel()] = True
+    return TriangleMesh(vertex_mm[used], (np.cumsum(used) - 1)[face], rotate(frame, mesh.normal[used]))

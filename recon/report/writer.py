@@ -61,6 +61,8 @@ def write_report(
     ReconError
         When the file cannot be written, in one sentence.
     """
+    if not out_dir.is_dir():
+        raise ReconError(f"{out_dir}: no such folder; the report is written beside the other results")
     unit = LengthUnit.of(manifest.length_unit)
     triangles = None
     if mesh is not None:

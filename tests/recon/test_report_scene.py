@@ -11,14 +11,13 @@ from recon.report.display_frame import frame_from_world, rotate, transform_point
 from recon.report.map_pictures import positive_limits
 from recon.report.point_scene import (
     Box,
-    Cloud,
     TriangleMesh,
     box_of,
     cluster_mesh,
     packed_normals,
     packed_places,
-    thin,
 )
+from recon.report.surface_section import cloud_of
 
 
 def unpacked_normals(packed: np.ndarray) -> np.ndarray:
@@ -61,14 +60,15 @@ def test_a_handful_of_outliers_does_not_shrink_the_object() -> None:
     assert box.inside(point_mm).sum() == 19_995
 
 
-def test_thinning_takes_points_from_everywhere_and_none_twice() -> None:
-    across = np.linspace(0, 1, 10_000)
-    cloud = Cloud(np.column_stack([across] * 3), np.zeros((10_000, 3)), across.astype(np.float32))
-    few = thin(cloud, most=1000)
-    assert len(np.unique(few.sd_mm)) == 1000
-    # Ten equal shares of 1000 draws: 100 each, give or take four standard deviations of a binomial count.
-    counts = np.histogram(few.sd_mm, bins=10, range=(0, 1))[0]
-    assert np.abs(counts - 100).max() < 4 * np.sqrt(1000 * 0.1 * 0.9)
+def test_the_points_shown_come_from_everywhere_and_none_twice() -> None:
+    maps = example_maps()
+    cloud = cloud_of(maps, frame_from_world(example_manifest()), most=4000)
+    assert len(np.unique(cloud.point_mm, axis=0)) == 4000
+    # As large a part of the draws lies left of the middle as of all points, within four sd of a binomial count.
+    point_mm = maps.point_mm[maps.valid()]
+    share = (point_mm[:, 0] < CENTRE_MM[0]).mean()
+    count = (cloud.point_mm[:, 0] < CENTRE_MM[0]).sum()
+    assert abs(count - 4000 * share) < 4 * np.sqrt(4000 * 0.25)
 
 
 def test_a_clustered_mesh_is_small_and_stays_on_the_ball() -> None:
