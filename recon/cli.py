@@ -10,12 +10,13 @@ from rich.console import Console
 
 from recon.correspondence import Method
 from recon.errors import ReconError
+from recon.evaluation import command as evaluation_command
 from recon.importer import import_folder, read_layout
 from recon.metrics import Metrics
 from recon.progress import progress_bar
 from recon.reconstruct import Limits
-from recon.run import Settings, run_session
 from recon.session import open_session
+from recon.view import register as register_view
 from recon.wholeness import faults
 
 app = typer.Typer(
@@ -56,6 +57,9 @@ def run(
     threads: Annotated[int, typer.Option(min=0, help="Threads for decoding; 0 takes every core.")] = 0,
 ) -> None:
     """Reconstruct one session: maps, cloud, mesh, numbers and a report."""
+    # Loads the report's plotting, which would slow every other command by a second.
+    from recon.run import Settings, run_session
+
     limits = Limits(
         smallest_angle_rad=math.radians(smallest_angle_deg),
         largest_gap_share=largest_gap_share,
@@ -112,6 +116,10 @@ def validate(session: SessionFolder) -> None:
         print(f"{session}: {errors} faults and {warnings} warnings in {len(opened.photos)} photos")
         raise typer.Exit(1)
     print(f"{session}: sound; {len(opened.photos)} photos, {warnings} warnings")
+
+
+evaluation_command.register(app)
+register_view(app)
 
 
 def main() -> None:

@@ -86,7 +86,7 @@ def _black_level(session: Session, capture_set: CaptureSet, axis: Axis) -> tuple
     variance = dark_variance(first, last)
     if (capture_set.name, "black", 0) in session.photos:
         return photo("black", 0), variance
-    spread = [photo(axis, index) for index in np.linspace(0, count - 1, 5).round().astype(int)]
+    spread = [photo(axis, round(share * (count - 1))) for share in (0.0, 0.25, 0.5, 0.75, 1.0)]
     return np.median(np.stack(spread), axis=0).astype(first.dtype), variance
 
 
