@@ -195,7 +195,9 @@ def _by_likelihood(
         place = np.clip(fit.place_px, brightest_px - 2 * pattern.step_px, brightest_px + 2 * pattern.step_px)
     assert fit is not None
     residual_rms = np.sqrt(fit.chi_square / (fit.freedom + 3) * noise.variance(fit.amplitude / 2))
-    bad = (residual_rms > LARGEST_MISFIT * fit.amplitude) | (fit.amplitude <= 0)
+    # A place known no better than the stripe's own width says nothing.
+    vague = ~(fit.sd_px < max(pattern.width_px, pattern.step_px))
+    bad = (residual_rms > LARGEST_MISFIT * fit.amplitude) | (fit.amplitude <= 0) | vague
     status[pixels[bad]] = PixelStatus.BAD_FIT
     place_map = np.full(black.size, np.nan)
     sd_map = np.full(black.size, np.nan, dtype=np.float32)

@@ -52,12 +52,16 @@ def integrated_surface(maps: Maps, camera: CameraBody) -> Surface:
 
 
 def fused_surface(maps: Maps, crossing: Crossing) -> Surface:
-    """Fuse positions and normals on the paths in air; pixels with parallel paths get their point from their neighbours."""
+    """Fuse positions and normals on the paths in liquid; pixels with parallel paths get their point from their neighbours.
+
+    A pixel's path is the mean over its footprint. Liquid bends light less than air at the same surface, so its mean path
+    runs closer to the path of the pixel's centre, above all near total reflection.
+    """
     shape = maps.status.shape
     surface_pixel = np.isin(crossing.status, (PixelStatus.OK, PixelStatus.PARALLEL_PATHS))
     has_point = crossing.status == PixelStatus.OK
-    air, points = crossing.air, crossing.points
-    along_sd = np.sqrt(np.einsum("pi,pij,pj->p", air.direction, points.covariance, air.direction))
+    liquid, points = crossing.liquid, crossing.points
+    along_sd = np.sqrt(np.einsum("pi,pij,pj->p", liquid.direction, points.covariance, liquid.direction))
 
     def on_grid(values: np.ndarray, where: np.ndarray) -> Float64[np.ndarray, "..."]:
         grid = np.full((maps.status.size, *values.shape[1:]), np.nan)
@@ -66,9 +70,9 @@ def fused_surface(maps: Maps, crossing: Crossing) -> Surface:
 
     normal = on_grid(crossing.normal, surface_pixel)
     fused = fuse_on_rays(
-        on_grid(air.near_mm, surface_pixel),
-        on_grid(air.direction, surface_pixel),
-        on_grid(points.distance_air_mm, has_point),
+        on_grid(liquid.near_mm, surface_pixel),
+        on_grid(liquid.direction, surface_pixel),
+        on_grid(points.distance_liquid_mm, has_point),
         on_grid(along_sd, has_point),
         normal,
         on_grid(crossing.normal_sd_rad, surface_pixel),
@@ -94,8 +98,8 @@ def _sd(
     """Return each fused point's sd: along its ray from the surface, across it from the ray's own correspondences."""
     pixels = crossing.pixels[surface_pixel]
     distance = fused.distance_mm.ravel()
-    shift = crossing.air.covariance_at(np.nan_to_num(distance[crossing.pixels]))
-    direction = crossing.air.direction
+    shift = crossing.liquid.covariance_at(np.nan_to_num(distance[crossing.pixels]))
+    direction = crossing.liquid.direction
     along = np.einsum("pi,pij,pj->p", direction, shift, direction)
     across = (np.trace(shift, axis1=1, axis2=2) - along)[surface_pixel]
     variance = np.full(distance.size, np.nan)
