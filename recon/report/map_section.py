@@ -42,9 +42,15 @@ class ScalarMap:
     logarithmic: bool = False
 
 
-def scalar_maps(unit: LengthUnit, *, with_gap_sign: bool) -> tuple[ScalarMap, ...]:
-    """Return the settings of the scalar maps, in the unit of the session."""
+def scalar_maps(unit: LengthUnit, *, with_gap_sign: bool, thin: bool) -> tuple[ScalarMap, ...]:
+    """Return the settings of the scalar maps, in the unit of the session and the words of its method."""
     length = unit.label
+    bends = (
+        "the object bends each path away from its visual ray"
+        if thin
+        else "the liquid bends each path away from its course in air"
+    )
+    both = "the path through the object and the visual ray" if thin else "the path in air and the path in liquid"
     return (
         ScalarMap(
             "depth",
@@ -59,7 +65,7 @@ def scalar_maps(unit: LengthUnit, *, with_gap_sign: bool) -> tuple[ScalarMap, ..
         ScalarMap(
             "angle",
             "Angle between the two light paths",
-            "How far the liquid bends each path away from its course in air; point and normal rest on this angle.",
+            f"How far {bends}; point and normal rest on this angle.",
             "Several degrees over most of the object.",
             "Large areas near zero: there the paths are almost parallel and the point is uncertain along them.",
             "angle (°)",
@@ -69,7 +75,7 @@ def scalar_maps(unit: LengthUnit, *, with_gap_sign: bool) -> tuple[ScalarMap, ..
         ScalarMap(
             "gap",
             "Gap between the two light paths",
-            "The distance by which the path in air and the path in liquid miss each other; they should meet."
+            f"The distance by which {both} miss each other; they should meet."
             + (" Its sign tells on which side." if with_gap_sign else ""),
             "Fine noise about zero without any pattern.",
             "A slope, rings or one colour all over: the display or the object moved between sets, or a pose is wrong.",
@@ -87,7 +93,7 @@ def scalar_maps(unit: LengthUnit, *, with_gap_sign: bool) -> tuple[ScalarMap, ..
             "Bright areas: points there should be left out or weighted down.",
             f"sd ({length}, logarithmic)",
             "magma",
-            "The reconstruction gave no standard deviations.",
+            "The reconstruction gave no standard deviations; the method `paper` estimates none.",
             logarithmic=True,
         ),
     )
@@ -103,7 +109,10 @@ def map_section(maps: Maps, manifest: Manifest, *, unit: LengthUnit, longest_px:
         "sd": maps.sd_mm,
     }
     signed = bool((maps.gap_mm[np.isfinite(maps.gap_mm)] < 0).any())
-    panels = [_scalar_panel(each, values[each.id], longest_px) for each in scalar_maps(unit, with_gap_sign=signed)]
+    panels = [
+        _scalar_panel(each, values[each.id], longest_px)
+        for each in scalar_maps(unit, with_gap_sign=signed, thin=manifest.method == "thin")
+    ]
     panels.insert(1, _normal_panel(frame, maps.normal, longest_px))
     panels.append(distributions_panel(values, unit))
     panels.append(_status_panel(maps.status, longest_px))

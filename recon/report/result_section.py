@@ -15,7 +15,7 @@ STEPS = (
 )
 
 
-def funnel_panel(funnel: Funnel) -> Panel:
+def funnel_panel(funnel: Funnel, *, thin: bool) -> Panel:
     """Return the steps from pixels to normals with what is lost at each."""
     counts = [int(getattr(funnel, name)) for name, _, _ in STEPS]
     steps = [
@@ -29,15 +29,17 @@ def funnel_panel(funnel: Funnel) -> Panel:
         }
         for (_, title, note), count, before in zip(STEPS, counts, [counts[0], *counts[:-1]], strict=True)
     ]
+    beside = (
+        "" if thin else "Pixels that look past the object at the liquid’s surface drop out at “First entry points”."
+    )
     return Panel(
         "funnel",
         "From pixels to normals",
         "funnel.html.j2",
         {"steps": steps, "total": counts[0]},
-        "How many pixels are left after each step; the bars share one scale. Pixels that look past the object at the liquid’s "
-        "surface drop out at “First entry points”.",
+        "How many pixels are left after each step; the bars share one scale. " + beside,
         "Of the object’s pixels almost none is lost after “Lit”: the paper kept 94.5 to 97.7 % of its correspondences as points.",
-        "A large loss at “Matched” (light missing in one set: liquid level, exposure) or at “First entry points” "
+        "A large loss at “Matched” (light missing in one set: exposure, a bubble, the liquid’s level) or at “First entry points” "
         "(poses, or an object that moved).",
     )
 
@@ -118,10 +120,12 @@ def _cell(value: object) -> str:
     return str(value)
 
 
-def result_section(metrics: Metrics, *, unit: LengthUnit, evaluation: Sequence[Mapping[str, object]]) -> Section:
+def result_section(
+    metrics: Metrics, *, unit: LengthUnit, thin: bool, evaluation: Sequence[Mapping[str, object]]
+) -> Section:
     """Return the section of results in numbers."""
     return Section(
         "results",
         "Results in numbers",
-        (funnel_panel(metrics.funnel), statistics_panel(metrics, unit), evaluation_panel(evaluation, unit)),
+        (funnel_panel(metrics.funnel, thin=thin), statistics_panel(metrics, unit), evaluation_panel(evaluation, unit)),
     )

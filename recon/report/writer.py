@@ -70,7 +70,7 @@ def write_report(
     before = (
         warnings_section(metrics),
         surface_section(maps, manifest, triangles, unit=unit),
-        result_section(metrics, unit=unit, evaluation=evaluation),
+        result_section(metrics, unit=unit, thin=manifest.method == "thin", evaluation=evaluation),
     )
     after = (
         capture_section(metrics),
@@ -129,7 +129,7 @@ def tiles(maps: Maps, metrics: Metrics, unit: LengthUnit) -> tuple[tuple[str, st
     warnings = "no warnings" if not count else f"{number(count)} warning{'s' if count > 1 else ''}"
     return (
         ("Points with normals", number(funnel.normals), f"{share(funnel.normals, funnel.lit)} of the lit pixels"),
-        ("Standard deviation", _median(sd), f"{unit.label}, median of the points"),
+        ("Standard deviation", _median(sd), f"{unit.label}, median of the points" if sd.size else "not estimated"),
         ("Gap between paths", _median(np.abs(gap)), f"{unit.label}, median of its size"),
         ("Time", duration(sum(stage.wall_s for stage in metrics.stages)), warnings),
     )

@@ -259,12 +259,12 @@ def test_says_that_the_baseline_gives_no_standard_deviation(tmp_path: Path) -> N
         maps.point_mm, maps.normal, np.full_like(maps.sd_mm, np.nan), maps.gap_mm, maps.pbc_angle_rad, maps.status
     )
     page = Page(report_text(tmp_path, maps=without))
-    assert "The reconstruction gave no standard deviations." in page.text
+    assert "The reconstruction gave no standard deviations; the method paper estimates none." in page.text
 
 
 def test_shows_the_rows_of_an_evaluation_with_units_in_their_headings() -> None:
     rows = [{"primitive": "sphere", "radius_mm": 27.987, "normal_median_deg": 0.2136, "inliers": 16773}]
-    section = result_section(example_metrics(example_maps()), unit=LengthUnit.of("mm"), evaluation=rows)
+    section = result_section(example_metrics(example_maps()), unit=LengthUnit.of("mm"), thin=False, evaluation=rows)
     page = Page(render_page("a session", sections=(section,), kind="report"))
     assert "primitive radius (mm) normal median (°) inliers sphere 28.0 0.214 16,773" in page.text
 
