@@ -1,7 +1,7 @@
-"""Two clocks: the real one, and a simulated one on which an hour of pumping passes at once.
+"""Clocks: the real one, a fast one, and a simulated one on which an hour of pumping passes at once.
 
-Both implement :class:`drivers.protocols.Clock`. Everything simulated asks its clock and nothing else for the time, so
-that a capture behaves the same on either.
+All implement :class:`drivers.protocols.Clock`. Everything simulated asks its clock and nothing else for the time, so
+that a capture behaves the same on each.
 """
 
 import threading
@@ -38,3 +38,20 @@ class SimulatedClock:
         if duration_s > 0:
             with self._lock:
                 self._now_s += duration_s
+
+
+class FastClock:
+    """The time of the room, ``speed`` times as fast: for programs that keep their own time beside an emulator."""
+
+    def __init__(self, speed: float) -> None:
+        self._speed = speed
+        self._start_s = time.monotonic()
+
+    def now_s(self) -> float:
+        """Seconds since this clock was made, ``speed`` for each second of the room."""
+        return self._speed * (time.monotonic() - self._start_s)
+
+    def sleep_s(self, duration_s: float) -> None:
+        """Wait; a duration that is not positive returns at once."""
+        if duration_s > 0:
+            time.sleep(duration_s / self._speed)
