@@ -12,7 +12,7 @@ PYTEST_FLAGS ?= -n auto --maxprocesses 4
 
 # Every path is relative, so that the folder's own name may hold spaces.
 BIN := .venv/bin
-PIP_INSTALL := $(BIN)/python -m pip install --quiet --disable-pip-version-check --constraint constraints.txt
+PIP_INSTALL := $(BIN)/python -m pip install --quiet --quiet --disable-pip-version-check --constraint constraints.txt
 # The glass hemisphere of the paper, with 2,696 small photos: half a minute of simulation on two cores.
 DEMO_SCENE := hemisphere --size 240 --display-columns 1536 --width-px 24 --step-px 4
 COMMANDS_PAGE := docs/reference/commands.md
@@ -28,6 +28,7 @@ demo: .venv/core.stamp  ## a simulated capture, its reconstruction, and a report
 	@rm -rf demo
 	$(BIN)/rig simulate $(DEMO_SCENE) demo/session
 	$(BIN)/recon run demo/session --out demo/result
+	$(BIN)/recon evaluate demo/result --truth demo/session --primitive sphere --known-radius 27.99
 	@echo "Open demo/result/report.html in a browser; demo/result/mesh.glb in any 3-D viewer."
 
 test: .venv/full.stamp  ## run the tests
