@@ -1,0 +1,36 @@
+"""Photos for a camera that runs by itself: those of a folder, in turn, or drawn ones that carry their number."""
+
+from collections.abc import Callable
+from itertools import count, cycle
+from pathlib import Path
+
+import cv2
+import numpy as np
+import simplejpeg
+
+from drivers.errors import DeviceNotFoundError
+
+DRAWN_COLUMNS, DRAWN_ROWS = 648, 432
+
+
+def photos_of_folder(folder: Path) -> Callable[[], bytes]:
+    """Return a source that gives the JPEG files of ``folder`` in the order of their names, again and again."""
+    files = sorted(path for path in folder.glob("*") if path.suffix.lower() in (".jpg", ".jpeg"))
+    if not files:
+        raise DeviceNotFoundError(f"{folder}: no JPEG file in it; name a folder of photos")
+    turn = cycle(files)
+    return lambda: next(turn).read_bytes()
+
+
+def drawn_photos() -> Callable[[], bytes]:
+    """Return a source of grey photos, each with its number on it and noise of its own."""
+    numbers = count(1)
+
+    def draw() -> bytes:
+        number = next(numbers)
+        noise = np.random.default_rng(number).integers(110, 146, (DRAWN_ROWS, DRAWN_COLUMNS, 1), dtype=np.uint8)
+        place = (40, DRAWN_ROWS // 2 + 30)
+        cv2.putText(noise, f"photo {number}", place, cv2.FONT_HERSHEY_SIMPLEX, 3.0, 255, 6)
+        return simplejpeg.encode_jpeg(noise, quality=90, colorspace="GRAY")
+
+    return draw
