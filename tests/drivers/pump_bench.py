@@ -1,0 +1,16 @@
+"""The tank that the tests of pumps share: 6 l of room, 5 l in the reservoir, nothing in it yet."""
+
+import numpy as np
+
+from drivers.protocols import Clock, Frame
+from sim_backend.clock import SimulatedClock
+from sim_backend.world import TankSize, World, WorldState
+
+
+def dry_world(clock: Clock | None = None) -> World:
+    return World(
+        clock=clock or SimulatedClock(),
+        tank=TankSize(6000.0, 4000.0),
+        dark_frame=Frame(axis="x", levels=np.zeros(8, np.uint8)),
+        state=WorldState(reservoir_ml=5000.0),
+    )
