@@ -11,14 +11,17 @@ from typing import Any, Generic, TypeVar
 import numpy as np
 import pytest
 
+from drivers.new_era_pump import NewEraPump
 from drivers.protocols import Camera, Display, Frame, Pump, Stage
 from sim_backend.camera import SimulatedCamera
 from sim_backend.clock import SimulatedClock
 from sim_backend.display import SimulatedDisplay
+from sim_backend.new_era_emulator import NewEraEmulator
 from sim_backend.photography import Photographer
 from sim_backend.pump import SimulatedPump
 from sim_backend.scene import load_scene
 from sim_backend.stage import SimulatedStage
+from sim_backend.wire import PtyServer
 from sim_backend.world import TankSize, World, WorldState
 
 COLUMNS, ROWS = 64, 64
@@ -54,6 +57,28 @@ def simulated_pump() -> Iterator[Bench[Pump]]:
 
 
 @contextmanager
+def new_era_pump() -> Iterator[Bench[Pump]]:
+    world = empty_world()
+    with (
+        PtyServer(NewEraEmulator(world)) as wire,
+        NewEraPump(wire.address, rate_ml_per_min=PUMP_ML_PER_MIN, diameter_mm=26.59, kind="emulated") as pump,
+    ):
+        yield Bench(pump, world)
+
+
+@contextmanager
+def new_era_pump_in_basic_mode() -> Iterator[Bench[Pump]]:
+    world = empty_world()
+    with (
+        PtyServer(NewEraEmulator(world)) as wire,
+        NewEraPump(
+            wire.address, rate_ml_per_min=PUMP_ML_PER_MIN, diameter_mm=12.0, mode="basic", kind="emulated"
+        ) as pump,
+    ):
+        yield Bench(pump, world)
+
+
+@contextmanager
 def simulated_display() -> Iterator[Bench[Display]]:
     world = empty_world()
     with SimulatedDisplay(world, columns=COLUMNS, rows=ROWS, latency_s=0.03) as display:
@@ -70,7 +95,11 @@ def simulated_camera() -> Iterator[Bench[Camera]]:
 
 Opener = Callable[[], AbstractContextManager[Bench[Any]]]
 STAGES: dict[str, Opener] = {"simulated": simulated_stage}
-PUMPS: dict[str, Opener] = {"simulated": simulated_pump}
+PUMPS: dict[str, Opener] = {
+    "simulated": simulated_pump,
+    "new era": new_era_pump,
+    "new era in basic mode": new_era_pump_in_basic_mode,
+}
 DISPLAYS: dict[str, Opener] = {"simulated": simulated_display}
 CAMERAS: dict[str, Opener] = {"simulated": simulated_camera}
 
