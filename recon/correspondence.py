@@ -179,7 +179,7 @@ def _by_likelihood(
     footprint = np.zeros((len(pixels), 2))
     # The footprint comes from the map's gradient and the map from the fit: twice round is enough.
     for last in (False, True):
-        footprint = _footprint(place, pixels, black.shape)
+        footprint = _footprint(place, pixels, black.shape, quantum_px=2 * pattern.step_px)
         noise = _noise(windows, pixels, place, footprint, noise=noise, black=black, pattern=pattern, clipped=clipped)
         fit = fit_stripe(
             windows,
@@ -224,10 +224,10 @@ def _centroid(windows: PeakWindows, pixels: np.ndarray, pattern: StripePattern, 
     return pattern.first_px + pattern.step_px * (windows.peak_index[pixels] + offset)
 
 
-def _footprint(place: np.ndarray, pixels: np.ndarray, shape: tuple[int, int]) -> np.ndarray:
+def _footprint(place: np.ndarray, pixels: np.ndarray, shape: tuple[int, int], *, quantum_px: float) -> np.ndarray:
     place_map = np.full(shape, np.nan)
     place_map.ravel()[pixels] = place
-    gradient = coordinate_gradient(place_map, np.isfinite(place_map))
+    gradient = coordinate_gradient(place_map, np.isfinite(place_map), quantum_px=quantum_px)
     widths = np.abs(gradient).reshape(-1, 2)[pixels]
     known = np.isfinite(widths).all(axis=1)
     typical = np.median(widths[known], axis=0) if known.any() else np.array([0.5, 0.5])

@@ -10,16 +10,17 @@ FEWEST_NEIGHBOURS = 6
 
 
 def coordinate_gradient(
-    place_px: Float64[np.ndarray, "rows cols"], valid: Bool[np.ndarray, "rows cols"]
+    place_px: Float64[np.ndarray, "rows cols"], valid: Bool[np.ndarray, "rows cols"], *, quantum_px: float
 ) -> Float64[np.ndarray, "rows cols 2"]:
     """Return (du/dcol, du/drow) of a coordinate map by least squares over 5 by 5 valid neighbours; NaN where too few.
 
     A weighted plane u = u0 + g·(col, row) is fitted about each pixel; pixels far from their neighbours' median are left out.
+    ``quantum_px`` is how coarse the places may be: a step of the sweep is no outlier where pixels are finer than steps.
     """
     filled = np.where(valid, place_px, 0.0)
     median = cv2.medianBlur(filled.astype(np.float32), WINDOW_PX)
     spread = cv2.medianBlur(np.abs(filled - median).astype(np.float32), WINDOW_PX)
-    keep = valid & (np.abs(filled - median) <= 6 * spread + 1e-3)
+    keep = valid & (np.abs(filled - median) <= 6 * spread + quantum_px)
     half = WINDOW_PX // 2
     step = np.arange(-half, half + 1, dtype=np.float64)
     one = np.ones_like(step)
