@@ -1,0 +1,97 @@
+"""The driver's side of the process that libgphoto2 lives in (:mod:`drivers.camera_worker`): every call has a deadline."""
+
+import os
+import shutil
+import socket
+import subprocess
+import sys
+import tempfile
+from collections.abc import Mapping
+from multiprocessing.connection import Connection
+from typing import Any
+
+# Beyond its limit a call may take this long before its process counts as wedged and is ended.
+GRACE_S = 5.0
+# Python, libgphoto2 and its list of cameras: under a second, more on a busy machine or a slow disk.
+START_S = 20.0
+# A camera that is simulated by libgphoto2 itself must never be taken for a real one.
+NEVER_INHERITED = ("VCAMERADIR", "IOLIBS", "CAMLIBS")
+
+
+class CameraFault(Exception):
+    """A call failed. ``code`` is libgphoto2's number, where it gave one."""
+
+    def __init__(self, sentence: str, *, code: int | None = None) -> None:
+        super().__init__(sentence)
+        self.code = code
+
+
+class WedgedFault(CameraFault):
+    """The process did not answer and was ended, or it ended by itself."""
+
+
+class LateFault(CameraFault):
+    """The call ran out of time in an orderly way; the camera still answers."""
+
+
+class RefusedFault(CameraFault):
+    """The camera cannot do what was asked; trying again will not help."""
+
+
+class CameraProcess:
+    """One process, one camera. ``environment`` adds to its environment variables."""
+
+    def __init__(self, *, environment: Mapping[str, str] | None = None) -> None:
+        # libgphoto2 keeps a capture target for all programs of a user; a private folder keeps ours apart.
+        self._settings_folder = tempfile.mkdtemp(prefix="camera-")
+        ours, theirs = socket.socketpair()
+        inherited = {name: value for name, value in os.environ.items() if name not in NEVER_INHERITED}
+        private = {"XDG_CONFIG_HOME": self._settings_folder, "HOME": self._settings_folder, "LC_ALL": "C"}
+        self._process = subprocess.Popen(
+            [sys.executable, "-m", "drivers.camera_worker", str(theirs.fileno())],
+            pass_fds=[theirs.fileno()],
+            stdin=subprocess.DEVNULL,
+            stderr=subprocess.DEVNULL,
+            env={**inherited, **private, **(environment or {})},
+            start_new_session=True,  # Ctrl-C is for the program that owns the camera; it decides what follows
+        )
+        theirs.close()
+        self._pipe = Connection(ours.detach())
+        self._fresh = True
+
+    @property
+    def alive(self) -> bool:
+        """Whether the process can still be asked."""
+        return self._process.poll() is None and not self._pipe.closed
+
+    def call(self, operation: str, *, limit_s: float, **arguments: Any) -> Any:
+        """Ask for one operation and wait for its answer.
+
+        Raises
+        ------
+        CameraFault
+            Of the kind that says what to do about it. After a :class:`WedgedFault` the process is gone.
+        """
+        wait_s = max(limit_s, 0.0) + GRACE_S + (START_S if self._fresh else 0.0)
+        try:
+            self._pipe.send((operation, arguments, max(limit_s, 0.0)))
+            if not self._pipe.poll(wait_s):
+                self.end()
+                raise WedgedFault(f"no answer within {wait_s:.0f} s")
+            kind, *answer = self._pipe.recv()
+        except (EOFError, OSError) as error:
+            self.end()
+            raise WedgedFault("the process that speaks to it ended") from error
+        self._fresh = False
+        if kind == "done":
+            return answer[0]
+        if kind == "gphoto2":
+            raise CameraFault(answer[1], code=answer[0])
+        raise (LateFault if kind == "late" else RefusedFault)(answer[0])
+
+    def end(self) -> None:
+        """End the process, whatever it is doing."""
+        self._pipe.close()
+        self._process.kill()
+        self._process.wait()
+        shutil.rmtree(self._settings_folder, ignore_errors=True)
