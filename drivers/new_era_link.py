@@ -24,6 +24,7 @@ class NewEraLink:
         self._pump_number = pump_number
         self._reply_timeout_s = reply_timeout_s
         self.safe = False
+        self.alarms_acknowledged = 0
 
     def exchange(self, command: str, *, attempts: int = ATTEMPTS) -> Reply:
         """Send ``command`` and return the reply, alarm or not; noise and silence are answered by asking again.
@@ -88,6 +89,7 @@ class NewEraLink:
             reply = self.exchange(command)
             if not reply.alarm:
                 return reply
+            self.alarms_acknowledged += 1
             log.warning("pump: alarm: %s", ALARMS[reply.alarm])
         raise DeviceAlarmError(f"pump: it keeps ringing: {ALARMS[reply.alarm]}; look at the pump and clear it there")
 

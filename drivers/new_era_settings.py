@@ -3,7 +3,7 @@
 import math
 from dataclasses import dataclass
 
-from drivers.errors import DeviceProtocolError, OutOfVolumeError
+from drivers.errors import DeviceAlarmError, DeviceProtocolError, OutOfVolumeError
 from drivers.new_era_link import NewEraLink
 from drivers.new_era_wire import four_digits, parse_value
 from drivers.protocols import FlowDirection
@@ -14,6 +14,7 @@ ML_PER_MIN_PER_UNIT = {"MM": 1.0, "UM": 0.001, "MH": 1 / 60, "UH": 0.001 / 60}
 MICROLITRES_UP_TO_MM = 14.00
 # Four digits carry one part in 2000 at worst; units that carry less are not used.
 WORST_ROUNDING = 1e-3
+PREPARATIONS = 3
 
 
 @dataclass(frozen=True, slots=True)
@@ -94,7 +95,20 @@ def prepare(link: NewEraLink, settings: Settings) -> None:
     ------
     DeviceProtocolError
         When something reads back other than it was sent.
+    DeviceAlarmError
+        When the pump rings each time.
     """
+    for _ in range(PREPARATIONS):
+        rung = link.alarms_acknowledged
+        tell_everything(link, settings)
+        if link.alarms_acknowledged == rung:
+            return
+        # A pump that was reset half-way has forgotten which phase the settings before were for.
+    raise DeviceAlarmError("pump: it rings again and again while it is prepared; look at the pump and its power supply")
+
+
+def tell_everything(link: NewEraLink, settings: Settings) -> None:
+    """Set and read back program, direction, rate and volume, and clear the counters."""
     keep_to_one_phase(link)
     forbid_restart_after_power_failure(link)
     settle(link, "DIA", settings.diameter)

@@ -34,6 +34,8 @@ class NewEraEmulator:
     ----------
     deaf_to, mute_after
         Commands (``RUN``, ``STP``, ...) of which the next one is lost on its way in, or carried out without a reply.
+    reset_before
+        Commands of which the next one finds the pump just back from a power failure.
     rate_step
         Rates are rounded to multiples of this number, in the units they were sent in; 0 keeps them as they are.
     """
@@ -43,6 +45,7 @@ class NewEraEmulator:
         self.version = "NE9000V3.928"
         self.deaf_to: list[str] = []
         self.mute_after: list[str] = []
+        self.reset_before: list[str] = []
         self.rate_step = 0.0
         self.commands: list[str] = []
         self._world = world
@@ -84,6 +87,9 @@ class NewEraEmulator:
         if name in self.deaf_to:
             self.deaf_to.remove(name)
             return b""
+        if name in self.reset_before:
+            self.reset_before.remove(name)
+            self.power_cycle()
         self.commands.append(name + argument)
         if safe:
             self._motor.heard()
