@@ -192,6 +192,13 @@ class SerialPort:
             self._receive(deadline_s, question=question)
         return self._take(end + len(terminator))
 
+    def read_if_there(self, terminator: bytes) -> bytes | None:
+        """Return the bytes up to and with ``terminator`` if they have come, else None after a few milliseconds."""
+        if terminator not in self._pending:
+            self._read_available()
+        end = self._pending.find(terminator)
+        return None if end < 0 else self._take(end + len(terminator))
+
     def read_exact(self, count: int, *, deadline_s: float, question: str = "an answer") -> bytes:
         """Return exactly ``count`` bytes; errors as for :meth:`read_until`."""
         while len(self._pending) < count:

@@ -11,11 +11,13 @@ from typing import Any, Generic, TypeVar
 import numpy as np
 import pytest
 
+from drivers.grbl_stage import GrblStage
 from drivers.new_era_pump import NewEraPump
 from drivers.protocols import Camera, Display, Frame, Pump, Stage
 from sim_backend.camera import SimulatedCamera
 from sim_backend.clock import SimulatedClock
 from sim_backend.display import SimulatedDisplay
+from sim_backend.grbl_emulator import GrblEmulator
 from sim_backend.new_era_emulator import NewEraEmulator
 from sim_backend.photography import Photographer
 from sim_backend.pump import SimulatedPump
@@ -46,6 +48,18 @@ def empty_world() -> World:
 def simulated_stage() -> Iterator[Bench[Stage]]:
     world = empty_world()
     with SimulatedStage(world, travel_mm=TRAVEL_MM, velocity_mm_per_s=10.0) as stage:
+        yield Bench(stage, world)
+
+
+@contextmanager
+def grbl_stage_on_a_terminal() -> Iterator[Bench[Stage]]:
+    world = empty_world()
+    with (
+        PtyServer(GrblEmulator(world, travel_mm=TRAVEL_MM)) as wire,
+        GrblStage(
+            wire.address, travel_mm=TRAVEL_MM, velocity_mm_per_s=10.0, clock=world.clock, kind="emulated", banner_s=0.1
+        ) as stage,
+    ):
         yield Bench(stage, world)
 
 
@@ -94,7 +108,7 @@ def simulated_camera() -> Iterator[Bench[Camera]]:
 
 
 Opener = Callable[[], AbstractContextManager[Bench[Any]]]
-STAGES: dict[str, Opener] = {"simulated": simulated_stage}
+STAGES: dict[str, Opener] = {"simulated": simulated_stage, "GRBL on a terminal": grbl_stage_on_a_terminal}
 PUMPS: dict[str, Opener] = {
     "simulated": simulated_pump,
     "new era": new_era_pump,

@@ -1,0 +1,378 @@
+"""A linear stage behind a GRBL 1.1 controller.
+
+Written from GRBL's documentation and proved against an emulator and by other people's programs; it has not met real
+hardware. Moves are jogs (``$J=G53 G90 G21 X.. F..``, ``doc/markdown/jogging.md``): they leave the controller's modes
+alone, are refused instead of raising an alarm when they would leave the travel, and can be cancelled with one byte.
+"""
+
+import logging
+import math
+from types import TracebackType
+from typing import Literal
+
+from drivers.errors import (
+    DeviceAlarmError,
+    DeviceError,
+    DeviceProtocolError,
+    DeviceTimeoutError,
+    OutOfTravelError,
+    UnknownPositionError,
+)
+from drivers.grbl_link import GrblLink, GrblRefusal
+from drivers.grbl_protocol import CANCEL_JOG, FEED_HOLD, GrblStatus, advice_for, read_code, read_setting
+from drivers.protocols import Clock, DeviceInfo, DeviceKind
+from drivers.serial_port import SerialPort, Trace
+
+# "?" may be sent five to ten times a second (interface.md).
+POLL_S = 0.15
+HOMING_POLL_S = 0.05
+STOP_S = 5.0
+NEEDED_SETTINGS = (13, 22, 23, 27)
+
+log = logging.getLogger(__name__)
+
+
+class GrblStage:
+    """Implements :class:`drivers.protocols.Stage` on one axis of the controller.
+
+    Parameters
+    ----------
+    port
+        Device path or URL of the serial port.
+    travel_mm
+        Smallest and largest position that may be driven to, in mm from where the carriage rests after homing.
+        Positions grow away from the homing switch.
+    velocity_mm_per_s
+        Speed of the moves; the controller itself limits it to ``$110``.
+    clock
+        Measures the time limits of moves.
+    axis
+        The axis that carries the display.
+    kind
+        What the session records: ``emulated`` when an emulator answers.
+    banner_s
+        How long opening waits for the greeting: many boards restart when their port is opened (DTR), others do not.
+    trace
+        Hears everything on the wire, see :class:`drivers.serial_port.SerialPort`.
+
+    Notes
+    -----
+    Opening never makes the position known: a board that restarted counts from zero wherever the carriage is, and says
+    Idle all the same. Only :meth:`home` does, and any restart or alarm undoes it.
+    """
+
+    def __init__(
+        self,
+        port: str,
+        *,
+        travel_mm: tuple[float, float],
+        velocity_mm_per_s: float,
+        clock: Clock,
+        axis: Literal["X", "Y", "Z"] = "X",
+        kind: DeviceKind = "real",
+        banner_s: float = 2.0,
+        trace: Trace | None = None,
+    ) -> None:
+        self._port = SerialPort(port, baud=115200, device="stage", trace=trace)
+        self._link = GrblLink(self._port)
+        self._travel_mm = travel_mm
+        self._velocity_mm_per_s = velocity_mm_per_s
+        self._clock = clock
+        self._axis = axis
+        self._axis_number = "XYZ".index(axis)
+        self._kind = kind
+        self._banner_s = banner_s
+        self._settings: dict[int, float] = {}
+        self._version = ""
+        self._homes_one_axis = False
+        self._offset_mm: tuple[float, ...] | None = None
+        self._homed = False
+        self._homing = False
+
+    # Who it is
+
+    def info(self) -> DeviceInfo:
+        """Model, address and version of the controller that answers."""
+        return DeviceInfo(self._kind, "GRBL linear stage", self._port.address, self._version)
+
+    def travel_mm(self) -> tuple[float, float]:
+        """Smallest and largest position."""
+        return self._travel_mm
+
+    def is_homed(self) -> bool:
+        """Whether the position can be trusted: homed since the controller last started, and no alarm since."""
+        if self._homed and self._port.is_open:
+            self._link.catch_up()
+            if self._link.alarm is not None or self._link.has_restarted:
+                self._homed = False
+        return self._homed
+
+    def advice(self) -> tuple[str, ...]:
+        """Return what could be better in the controller's settings; nothing here stops a capture."""
+        advice = advice_for(self._settings, axis=self._axis_number)
+        fastest_mm_per_s = self._settings[110 + self._axis_number] / 60
+        if self._velocity_mm_per_s > fastest_mm_per_s:
+            advice += (
+                f"velocity_mm_per_s is {self._velocity_mm_per_s:g}, the controller allows {fastest_mm_per_s:g} "
+                f"(${110 + self._axis_number}); lower the one or raise the other",
+            )
+        return advice
+
+    # Moving
+
+    def home(self, *, timeout_s: float) -> None:
+        """Find the reference switch; afterwards the position is known.
+
+        Raises ``DeviceAlarmError`` when homing fails: GRBL says ``ok`` even then, so success is ``ok`` without an alarm
+        and Idle afterwards (``doc/csv/alarm_codes_en_US.csv``, alarms 6 to 9).
+        """
+        if not self._settings[22]:
+            raise DeviceProtocolError(
+                "stage: home asked, but homing is switched off in the controller ($22=0); send $22=1 once with a "
+                "terminal program, after checking that the stage has a homing switch"
+            )
+        self._homed = False
+        self._link.catch_up()
+        if self._link.alarm is not None:
+            self._link.reset()
+        self._link.forget()
+        self._homing = True
+        try:
+            self._link.send(b"$H" + (self._axis.encode() if self._homes_one_axis else b"") + b"\n")
+            self._wait_until_homed(timeout_s)
+        except BaseException:
+            self._stop_quietly()
+            raise
+        finally:
+            self._homing = False
+        status = self._status()
+        if status.state != "Idle":
+            raise DeviceAlarmError(f"stage: homing ended, but the controller says {status.state}; home the stage again")
+        self._homed = True
+
+    def _wait_until_homed(self, timeout_s: float) -> None:
+        deadline_s = self._clock.now_s() + timeout_s
+        while True:
+            text = self._link.listen()
+            if self._link.alarm is not None:
+                self._link.hears_banner_within(1.0)
+                raise self._link.alarm_error()
+            if self._link.has_restarted:
+                raise self._disturbed("homing")
+            if text == "ok":
+                return
+            if text is not None and (code := read_code(text, word="error")) is not None:
+                raise DeviceProtocolError(
+                    f"stage: home asked, the controller refused with error:{code}; switch it off and on"
+                )
+            if text is None:
+                if self._clock.now_s() >= deadline_s:
+                    raise DeviceTimeoutError(
+                        f"stage: homing was not over after {timeout_s:g} s; the stage was stopped. Allow more time, or "
+                        "check switch and motor"
+                    )
+                self._clock.sleep_s(HOMING_POLL_S)
+
+    def move_to_mm(self, position_mm: float, *, timeout_s: float) -> None:
+        """Move and block until there. Raises ``OutOfTravelError`` or ``UnknownPositionError`` before any motion."""
+        low_mm, high_mm = self._travel_mm
+        if not low_mm <= position_mm <= high_mm:  # also refuses NaN
+            raise OutOfTravelError(f"stage: {position_mm:g} mm asked, travel is {low_mm:g} to {high_mm:g} mm")
+        if not self.is_homed():
+            raise UnknownPositionError(f"stage: {position_mm:g} mm asked, but it was not homed; home the stage first")
+        machine_mm = self._machine_mm(position_mm)
+        feed_mm_per_min = 60 * self._velocity_mm_per_s
+        try:
+            self._begin_jog(f"$J=G53G90G21{self._axis}{machine_mm:.3f}F{feed_mm_per_min:.1f}")
+            self._wait_until_at(position_mm, timeout_s=timeout_s)
+        except BaseException:
+            self._stop_quietly()
+            raise
+
+    def _begin_jog(self, line: str) -> None:
+        try:
+            try:
+                self._link.command(line)
+            except DeviceTimeoutError:
+                # Either the line or its ok was lost. The target is absolute: asking again is harmless.
+                if self._status().state != "Jog":
+                    self._link.command(line)
+        except GrblRefusal as refusal:
+            if refusal.code == 15:
+                raise OutOfTravelError(str(refusal)) from refusal
+            raise
+
+    def _wait_until_at(self, position_mm: float, *, timeout_s: float) -> None:
+        """Poll until the controller is idle twice in a row, then compare where it stands with where it should."""
+        what = f"the move to {position_mm:g} mm"
+        deadline_s = self._clock.now_s() + timeout_s
+        idle_reports = 0
+        while idle_reports < 2:
+            status = self._status()
+            self._raise_if_disturbed(status, what)
+            idle_reports = idle_reports + 1 if status.state == "Idle" else 0
+            if self._clock.now_s() >= deadline_s and idle_reports < 2:
+                raise DeviceTimeoutError(
+                    f"stage: {what} was not over after {timeout_s:g} s; the stage was stopped. Allow more time, or check "
+                    "velocity_mm_per_s"
+                )
+            self._clock.sleep_s(POLL_S)
+        # One step of the motor, and the last digit of the report.
+        tolerance_mm = 1 / self._settings[100 + self._axis_number] + 0.001
+        found_mm = self._position_mm(status)
+        if abs(found_mm - position_mm) > tolerance_mm:
+            raise DeviceProtocolError(
+                f"stage: {what} ended at {found_mm:.3f} mm; something cancelled it or changed the command on the wire. "
+                "Check cable and shielding, and that no other program talks to the controller; then move again"
+            )
+
+    def position_mm(self) -> float:
+        """Ask the controller what it counts; raises ``DeviceAlarmError`` while an alarm keeps it from answering."""
+        return self._position_mm(self._status())
+
+    def stop(self) -> None:
+        """Stop now: any time, twice, from ``finally``. During homing only a reset stops it."""
+        if not self._port.is_open:
+            return
+        if self._homing:
+            self._homed = False
+            self._link.reset()
+            return
+        self._link.send(CANCEL_JOG)
+        deadline_s = self._clock.now_s() + STOP_S
+        while self._clock.now_s() < deadline_s:
+            try:
+                state = self._status().state
+            except DeviceAlarmError:
+                return  # it has stopped by itself
+            if state not in ("Jog", "Run", "Home"):
+                return
+            self._link.send(FEED_HOLD if state == "Run" else CANCEL_JOG)
+            self._clock.sleep_s(POLL_S)
+        self._homed = False
+        self._link.reset()
+
+    def _stop_quietly(self) -> None:
+        """Stop on the way out of a failure, which matters more than whether this worked."""
+        try:
+            self.stop()
+        except DeviceError as error:
+            log.warning("stage: not stopped: %s", error)
+
+    # Coordinates: machine space is negative and ends at the switch (settings.md, $23, $27 and $130)
+
+    def _rest_machine_mm(self) -> tuple[float, int]:
+        """Return the machine coordinate after homing, and the machine's sign of the direction away from the switch."""
+        pull_off_mm, reach_mm = self._settings[27], self._settings[130 + self._axis_number]
+        if int(self._settings[23]) >> self._axis_number & 1:
+            return pull_off_mm - reach_mm, 1
+        return -pull_off_mm, -1
+
+    def _machine_mm(self, position_mm: float) -> float:
+        rest_mm, away = self._rest_machine_mm()
+        return rest_mm + away * position_mm
+
+    def _position_mm(self, status: GrblStatus) -> float:
+        rest_mm, away = self._rest_machine_mm()
+        place_mm = status.place[self._axis_number]
+        if not status.is_machine:
+            if self._offset_mm is None:
+                raise DeviceProtocolError("stage: the controller reports work coordinates without offset; send $10=1")
+            place_mm += self._offset_mm[self._axis_number]
+        return away * (place_mm - rest_mm)
+
+    def _status(self) -> GrblStatus:
+        status = self._link.status()
+        if status.offset is not None:
+            self._offset_mm = status.offset
+        return status
+
+    def _raise_if_disturbed(self, status: GrblStatus, what: str) -> None:
+        if self._link.alarm is not None:
+            self._homed = False
+            raise self._link.alarm_error()
+        if self._link.has_restarted or status.state == "Alarm":
+            raise self._disturbed(what)
+        if status.state in ("Hold", "Door", "Sleep", "Check"):
+            raise DeviceAlarmError(
+                f"stage: {what} was interrupted, the controller says {status.state}; release hold or door, then move again"
+            )
+
+    def _disturbed(self, what: str) -> DeviceAlarmError:
+        self._homed = False
+        return DeviceAlarmError(
+            f"stage: the controller restarted during {what} and its position is lost; check power supply and USB cable, "
+            "then home the stage"
+        )
+
+    # Opening and closing
+
+    def __enter__(self) -> "GrblStage":
+        self._port.open()
+        try:
+            self._greet()
+            self._read_settings()
+        except BaseException:
+            self._port.close()
+            raise
+        for sentence in self.advice():
+            log.warning("stage: %s", sentence)
+        return self
+
+    def _greet(self) -> None:
+        self._homed = False
+        self._link.hears_banner_within(self._banner_s)
+        try:
+            self._link.ask("")
+            moving = self._status().state not in ("Idle", "Alarm")
+        except (DeviceTimeoutError, DeviceAlarmError):
+            moving = True  # or deaf after an alarm: a reset is the way out of both
+        if moving:
+            self._link.reset()
+        if self._link.has_lost_settings:
+            raise DeviceProtocolError(
+                "stage: the controller has lost its settings (error:7) and runs on defaults; restore them from your notes"
+            )
+        identity = dict(
+            line[1:-1].split(":", 1) for line in self._link.ask("$I") if line.startswith("[") and ":" in line
+        )
+        self._version = identity.get("VER", "").strip(":")
+        self._homes_one_axis = "H" in identity.get("OPT", "").split(",")[0]
+        self._link.forget()
+
+    def _read_settings(self) -> None:
+        self._settings = dict(found for line in self._link.ask("$$") if (found := read_setting(line)))
+        axis = self._axis_number
+        missing = [
+            f"${number}"
+            for number in (*NEEDED_SETTINGS, 100 + axis, 110 + axis, 130 + axis)
+            if number not in self._settings
+        ]
+        if missing or not self._version.startswith("1.1"):
+            raise DeviceProtocolError(
+                f"stage: GRBL 1.1 asked, version {self._version or 'unknown'} answers on {self._port.address}"
+                + (f" without the settings {', '.join(missing)}" if missing else "")
+                + "; check the port, or use a GRBL 1.1 firmware"
+            )
+        if self._settings[13]:
+            raise DeviceProtocolError(
+                "stage: the controller reports inches ($13=1); send $13=0 once with a terminal program"
+            )
+        low_mm, high_mm = self._travel_mm
+        reach_mm = self._settings[130 + axis] - self._settings[27]
+        if low_mm < 0 or high_mm > reach_mm or math.isnan(low_mm + high_mm):
+            raise DeviceProtocolError(
+                f"stage: travel_mm is {low_mm:g} to {high_mm:g} mm, the controller allows 0 to {reach_mm:g} mm "
+                f"(${130 + axis} less $27); correct the one that is wrong"
+            )
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        try:
+            if error is None:
+                self.stop()
+            else:
+                self._stop_quietly()
+        finally:
+            self._port.close()
