@@ -1,11 +1,13 @@
 """The driver's side of the process that libgphoto2 lives in (:mod:`drivers.camera_worker`): every call has a deadline."""
 
+import contextlib
 import os
 import shutil
 import socket
 import subprocess
 import sys
 import tempfile
+import time
 from collections.abc import Mapping
 from multiprocessing.connection import Connection
 from typing import Any
@@ -44,6 +46,7 @@ class CameraProcess:
     def __init__(self, *, environment: Mapping[str, str] | None = None) -> None:
         # libgphoto2 keeps a capture target for all programs of a user; a private folder keeps ours apart.
         self._settings_folder = tempfile.mkdtemp(prefix="camera-")
+        self._last_words = tempfile.TemporaryFile()  # noqa: SIM115  (lives as long as the process)
         ours, theirs = socket.socketpair()
         inherited = {name: value for name, value in os.environ.items() if name not in NEVER_INHERITED}
         private = {"XDG_CONFIG_HOME": self._settings_folder, "HOME": self._settings_folder, "LC_ALL": "C"}
@@ -51,13 +54,14 @@ class CameraProcess:
             [sys.executable, "-m", "drivers.camera_worker", str(theirs.fileno())],
             pass_fds=[theirs.fileno()],
             stdin=subprocess.DEVNULL,
-            stderr=subprocess.DEVNULL,
+            stderr=self._last_words,
             env={**inherited, **private, **(environment or {})},
             start_new_session=True,  # Ctrl-C is for the program that owns the camera; it decides what follows
         )
         theirs.close()
         self._pipe = Connection(ours.detach())
         self._fresh = True
+        self._questions = 0
 
     @property
     def alive(self) -> bool:
@@ -74,14 +78,11 @@ class CameraProcess:
         """
         wait_s = max(limit_s, 0.0) + GRACE_S + (START_S if self._fresh else 0.0)
         try:
-            self._pipe.send((operation, arguments, max(limit_s, 0.0)))
-            if not self._pipe.poll(wait_s):
-                self.end()
-                raise WedgedFault(f"no answer within {wait_s:.0f} s")
-            kind, *answer = self._pipe.recv()
+            kind, *answer = self._answer(operation, arguments, max(limit_s, 0.0), wait_s)
         except (EOFError, OSError) as error:
+            sentence = self._how_it_ended()
             self.end()
-            raise WedgedFault("the process that speaks to it ended") from error
+            raise WedgedFault(sentence) from error
         self._fresh = False
         if kind == "done":
             return answer[0]
@@ -89,9 +90,31 @@ class CameraProcess:
             raise CameraFault(answer[1], code=answer[0])
         raise (LateFault if kind == "late" else RefusedFault)(answer[0])
 
+    def _answer(self, operation: str, arguments: dict[str, Any], limit_s: float, wait_s: float) -> list[Any]:
+        """Send a question and return its own answer: that of an interrupted one before it may still be under way."""
+        self._questions += 1
+        self._pipe.send((self._questions, operation, arguments, limit_s))
+        end_s = time.monotonic() + wait_s
+        while True:
+            if not self._pipe.poll(max(0.0, end_s - time.monotonic())):
+                self.end()
+                raise WedgedFault(f"no answer within {wait_s:.0f} s")
+            number, *answer = self._pipe.recv()
+            if number == self._questions:
+                return answer
+
+    def _how_it_ended(self) -> str:
+        """Return the last line that the process wrote, which is what Python says before it ends."""
+        with contextlib.suppress(subprocess.TimeoutExpired):
+            self._process.wait(1.0)
+        self._last_words.seek(0)
+        lines = self._last_words.read().decode(errors="replace").strip().splitlines()
+        return f"the process that speaks to it ended ({lines[-1] if lines else 'without a word'})"
+
     def end(self) -> None:
         """End the process, whatever it is doing."""
         self._pipe.close()
         self._process.kill()
         self._process.wait()
+        self._last_words.close()
         shutil.rmtree(self._settings_folder, ignore_errors=True)

@@ -1,9 +1,10 @@
 """The process that libgphoto2 lives in: ``python -m drivers.camera_worker FD``.
 
 A wedged C call cannot be interrupted from Python, and several calls keep the interpreter's lock; only the end of a process ends
-them. So nothing but this process touches the camera, and the driver may end it at any time. Over a pipe it answers one
-question after the other: ``(operation, arguments, limit_s)`` with ``("done", value)``, ``("gphoto2", code, text)``,
-``("late", sentence)`` or ``("refused", sentence)``.
+them. So nothing but this process touches the camera, and the driver may end it at any time.
+
+Over a pipe it answers one question after the other. A question is ``(number, operation, arguments, limit_s)``; its answer is the
+number and ``("done", value)``, ``("gphoto2", code, text)``, ``("late", sentence)`` or ``("refused", sentence)``.
 """
 
 import contextlib
@@ -44,9 +45,9 @@ def main() -> None:
     camera = OpenCamera()
     with contextlib.suppress(EOFError, OSError):
         while True:
-            operation, arguments, limit_s = pipe.recv()
+            number, operation, arguments, limit_s = pipe.recv()
             signal.setitimer(signal.ITIMER_REAL, limit_s + ORPHAN_GRACE_S)  # its signal ends the process, even in C
-            pipe.send(answer(camera, operation, arguments, limit_s))
+            pipe.send((number, *answer(camera, operation, arguments, limit_s)))
             signal.setitimer(signal.ITIMER_REAL, 0)
 
 

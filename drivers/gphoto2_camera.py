@@ -271,7 +271,7 @@ class Gphoto2Camera:
 
     def _release(self, paths: list[tuple[str, str]]) -> None:
         if self._link.profile.deletes:
-            with contextlib.suppress(CameraFault):  # it fails again, and is mended, with the next photo
+            with contextlib.suppress(CameraFault, DeviceError):  # it fails again, and is mended, with the next photo
                 self._link.opened().call("spend", limit_s=AWAKE_S, paths=paths)
 
     def _fault_of(self, files: list[CameraFile]) -> str | None:

@@ -149,7 +149,8 @@ class CanonEos40D(Body):
         return Reply()
 
     def _report(self, prop: Property) -> None:
-        self._queue(VALUE_CHANGED, struct.pack("<II", prop.code, prop.value))
+        none_left = prop.code == AVAILABLE_SHOTS and self.faults.no_shots_left
+        self._queue(VALUE_CHANGED, struct.pack("<II", prop.code, 0 if none_left else prop.value))
 
     def _report_image_format(self) -> None:
         self._queue(VALUE_CHANGED, struct.pack("<6I", IMAGE_FORMAT, *self._image_format))

@@ -27,6 +27,8 @@ class Faults:
         Settings that the body accepts and does not take over.
     silent
         The camera reads and never answers, on old connections and on new ones.
+    no_shots_left
+        The camera reports room for no shot at all, for which libgphoto2 waits without end (EOS alone).
     card_full
         Captures are refused with StoreFull (0x200C).
     """
@@ -41,6 +43,7 @@ class Faults:
     hidden_settings: int = 0
     silent: bool = False
     card_full: bool = False
+    no_shots_left: bool = False
 
     def update(self, changes: dict[str, int]) -> None:
         """Set the faults named in ``changes``; raises ``ValueError`` for a name that is none."""

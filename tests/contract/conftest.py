@@ -11,6 +11,7 @@ from typing import Any, Generic, TypeVar
 import numpy as np
 import pytest
 
+from drivers.gphoto2_camera import Gphoto2Camera
 from drivers.grbl_stage import GrblStage
 from drivers.new_era_pump import NewEraPump
 from drivers.protocols import Camera, Display, Frame, Pump, Stage
@@ -20,6 +21,8 @@ from sim_backend.display import SimulatedDisplay
 from sim_backend.grbl_emulator import GrblEmulator
 from sim_backend.new_era_emulator import NewEraEmulator
 from sim_backend.photography import Photographer
+from sim_backend.ptpip.process import emulate_camera
+from sim_backend.ptpip.world_photos import WorldPhotos
 from sim_backend.pump import SimulatedPump
 from sim_backend.scene import load_scene
 from sim_backend.stage import SimulatedStage
@@ -107,6 +110,17 @@ def simulated_camera() -> Iterator[Bench[Camera]]:
         yield Bench(camera, world)
 
 
+@contextmanager
+def libgphoto2_over_ptp_ip() -> Iterator[Bench[Camera]]:
+    world = empty_world()
+    optics = Photographer(load_scene("semi_ellipsoid").resized(camera_columns=32, display_columns=COLUMNS))
+    with (
+        emulate_camera(WorldPhotos(world, optics), exposure_s=0.05, download_s=0.05) as emulated,
+        Gphoto2Camera(emulated.address, kind="emulated") as camera,
+    ):
+        yield Bench(camera, world)
+
+
 Opener = Callable[[], AbstractContextManager[Bench[Any]]]
 STAGES: dict[str, Opener] = {"simulated": simulated_stage, "GRBL on a terminal": grbl_stage_on_a_terminal}
 PUMPS: dict[str, Opener] = {
@@ -115,7 +129,7 @@ PUMPS: dict[str, Opener] = {
     "new era in basic mode": new_era_pump_in_basic_mode,
 }
 DISPLAYS: dict[str, Opener] = {"simulated": simulated_display}
-CAMERAS: dict[str, Opener] = {"simulated": simulated_camera}
+CAMERAS: dict[str, Opener] = {"simulated": simulated_camera, "libgphoto2 over PTP/IP": libgphoto2_over_ptp_ip}
 
 
 @pytest.fixture(params=STAGES)
