@@ -20,6 +20,7 @@ class LineFaults:
         self._drop_to_host = 0
         self._drop_to_device = 0
         self._noise = bytearray()
+        self._strange = bytearray()
         self._late: deque[tuple[float, bytes]] = deque()
 
     def drop_to_host(self, count: int) -> None:
@@ -37,12 +38,19 @@ class LineFaults:
         with self._lock:
             self._noise += noise
 
+    def interfere(self, data: bytes) -> None:
+        """Let the device hear ``data`` that the host never said, such as another program's command."""
+        with self._lock:
+            self._strange += data
+
     def to_device(self, data: bytes) -> bytes:
-        """Return what is left of ``data`` when it reaches the device."""
+        """Return what reaches the device when the host says ``data``."""
         with self._lock:
             kept = data[self._drop_to_device :]
             self._drop_to_device -= len(data) - len(kept)
-            return b"" if self.deaf else kept
+            heard = bytes(self._strange) + (b"" if self.deaf else kept)
+            self._strange.clear()
+            return heard
 
     def to_host(self, data: bytes) -> bytes:
         """Return what the host hears now, when the device says ``data``."""

@@ -1,8 +1,10 @@
 """What every test may ask for."""
 
+import importlib
 import os
 import shutil
 from collections.abc import Callable
+from types import ModuleType
 from typing import NoReturn
 
 import pytest
@@ -27,6 +29,19 @@ def require_program() -> Callable[[str, str], str]:
         if path is None:
             skip_or_fail(f"{name} is not installed; on Debian: apt-get install {package}")
         return path
+
+    return require
+
+
+@pytest.fixture(scope="session")
+def require_module() -> Callable[[str, str], ModuleType]:
+    """Return ``require_module(name, package)``: another project's module, or a skip that says how to install it."""
+
+    def require(name: str, package: str) -> ModuleType:
+        try:
+            return importlib.import_module(name)
+        except ImportError:
+            skip_or_fail(f"{name} is not installed; pip install {package}")
 
     return require
 
