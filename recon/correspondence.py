@@ -16,7 +16,7 @@ from recon.sample_curves import sample_curves
 from recon.session import Session
 from recon.status import PixelStatus
 from recon.stripe_fit import curve_samples, fit_stripe
-from recon.stripe_model import footprint_average
+from recon.stripe_model import expected_curve
 from recon.stripe_peak import NO_PEAK, PeakTracker, PeakWindows, parabola_offset
 
 Method = Literal["paper", "full"]
@@ -63,7 +63,15 @@ def decode_sweep(
     clipped = saturation_count(black)
     if method == "paper":
         return _by_parabola(windows, pattern, black=black, dark=dark, photos=photos)
-    return _by_likelihood(windows, pattern, black=black, dark=dark, clipped=clipped, photos=photos)
+    return _by_likelihood(
+        windows,
+        pattern,
+        black=black,
+        dark=dark,
+        clipped=clipped,
+        photos=photos,
+        continuous=session.manifest.display.continuous,
+    )
 
 
 def _half_width(pattern: StripePattern, method: Method) -> int:
@@ -169,6 +177,7 @@ def _by_likelihood(
     dark: float,
     clipped: int,
     photos: tuple[PhotoQuality, ...],
+    continuous: bool,
 ) -> SweepResult:
     status = _status(windows, black.shape).ravel()
     pixels = np.flatnonzero(status == PixelStatus.OK)
@@ -180,7 +189,17 @@ def _by_likelihood(
     # The footprint comes from the map's gradient and the map from the fit: twice round is enough.
     for last in (False, True):
         footprint = _footprint(place, pixels, black.shape, quantum_px=2 * pattern.step_px)
-        noise = _noise(windows, pixels, place, footprint, noise=noise, black=black, pattern=pattern, clipped=clipped)
+        noise = _noise(
+            windows,
+            pixels,
+            place,
+            footprint,
+            noise=noise,
+            black=black,
+            pattern=pattern,
+            clipped=clipped,
+            continuous=continuous,
+        )
         fit = fit_stripe(
             windows,
             pixels,
@@ -190,6 +209,7 @@ def _by_likelihood(
             pattern=pattern,
             noise=noise,
             clipped=clipped,
+            continuous=continuous,
             intervals=last,
         )
         place = np.clip(fit.place_px, brightest_px - 2 * pattern.step_px, brightest_px + 2 * pattern.step_px)
@@ -210,7 +230,15 @@ def _by_likelihood(
         noise=noise,
         misfit=float(np.median(fit.chi_square / fit.freedom)) if len(pixels) else float("nan"),
         photos=photos,
-        curves=sample_curves(windows, black, photos, pattern=pattern, place=place_map, fit=(pixels, fit, footprint)),
+        curves=sample_curves(
+            windows,
+            black,
+            photos,
+            pattern=pattern,
+            place=place_map,
+            fit=(pixels, fit, footprint),
+            continuous=continuous,
+        ),
     )
 
 
@@ -244,6 +272,7 @@ def _noise(
     black: np.ndarray,
     pattern: StripePattern,
     clipped: int,
+    continuous: bool,
 ) -> NoiseModel:
     """Fit an even sample of the pixels with the noise known so far and read the noise from what is left."""
     some = np.arange(0, len(pixels), max(-(-len(pixels) // NOISE_SAMPLE_PIXELS), 1))
@@ -258,12 +287,11 @@ def _noise(
         pattern=pattern,
         noise=noise,
         clipped=clipped,
+        continuous=continuous,
         intervals=False,
     )
     samples = curve_samples(windows, pixels[some], black=black.ravel(), pattern=pattern, clipped=clipped)
-    shape, _ = footprint_average(
-        samples.place_px - fit.place_px[:, None], footprint[some, 0], footprint[some, 1], pattern
-    )
+    shape, _ = expected_curve(samples.place_px, fit.place_px, footprint[some], pattern=pattern, continuous=continuous)
     model = fit.amplitude[:, None] * shape
     residual = samples.counts - fit.background[:, None] - model
     used = samples.usable

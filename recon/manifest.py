@@ -83,13 +83,18 @@ class CoverGlass(Part):
 
 
 class DisplayPanel(Part):
-    """The display: device pixels, their pitch, and what covers them."""
+    """The display: device pixels, their pitch, and what covers them.
+
+    ``continuous`` says that the stripe was drawn as a smooth function of place, as a renderer does; a real display shows it in
+    steps of one device pixel.
+    """
 
     columns: Annotated[int, Field(gt=0)]
     rows: Annotated[int, Field(gt=0)]
     pitch_mm: Positive
     primary: Literal["white", "red", "green", "blue"] = "white"
     cover_glass: CoverGlass | None = None
+    continuous: bool = False
 
 
 class Intrinsics(Part):

@@ -21,9 +21,7 @@ class PatternFrame:
     levels: UInt8[np.ndarray, " device_px"]
 
 
-def stripe_profile(
-    offset_px: Float64[np.ndarray, " samples"], pattern: StripePattern
-) -> Float64[np.ndarray, " samples"]:
+def stripe_profile(offset_px: Float64[np.ndarray, "..."], pattern: StripePattern) -> Float64[np.ndarray, "..."]:
     """Return the stripe's brightness, 0 to 1, at a distance from its centre in device pixels."""
     distance_px = np.abs(offset_px)
     inside = distance_px < pattern.width_px / 2
@@ -44,14 +42,16 @@ def stripe_frame(pattern: StripePattern, axis: Axis, index: int, *, device_px: i
     stays where the plan says.
     """
     place_px = float(pattern.first_px + pattern.step_px * index)
-    pixel = np.arange(device_px, dtype=np.float64)
-    if pattern.profile == "hard":
-        low = np.clip(place_px - pattern.width_px / 2, pixel - 0.5, pixel + 0.5)
-        high = np.clip(place_px + pattern.width_px / 2, pixel - 0.5, pixel + 0.5)
-        brightness = high - low
-    else:
-        brightness = stripe_profile(pixel - place_px, pattern)
+    brightness = device_brightness(np.arange(device_px, dtype=np.float64) - place_px, pattern)
     return PatternFrame(axis, index, place_px, np.round(255 * brightness).astype(np.uint8))
+
+
+def device_brightness(offset_px: Float64[np.ndarray, "..."], pattern: StripePattern) -> Float64[np.ndarray, "..."]:
+    """Return the brightness, 0 to 1, of a device pixel whose centre is ``offset_px`` from the stripe's centre."""
+    if pattern.profile == "hard":
+        half = pattern.width_px / 2
+        return np.clip(offset_px + 0.5, -half, half) - np.clip(offset_px - 0.5, -half, half)
+    return stripe_profile(offset_px, pattern)
 
 
 def screen_mm(

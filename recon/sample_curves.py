@@ -5,7 +5,7 @@ import numpy as np
 from recon.manifest import StripePattern
 from recon.metrics import PhotoQuality, SampleCurve
 from recon.stripe_fit import StripeFit
-from recon.stripe_model import footprint_average
+from recon.stripe_model import expected_curve
 from recon.stripe_peak import PeakWindows
 
 # An even lattice of candidates; the report draws some of those that became points.
@@ -20,6 +20,7 @@ def sample_curves(
     pattern: StripePattern,
     place: np.ndarray,
     fit: tuple[np.ndarray, StripeFit, np.ndarray] | None = None,
+    continuous: bool = False,
 ) -> tuple[SampleCurve, ...]:
     """Return the curves of a lattice of pixels that have a place.
 
@@ -31,7 +32,16 @@ def sample_curves(
     pixels = (lattice_rows[:, None] * cols + lattice_cols).ravel()
     place = place.ravel()
     return tuple(
-        _curve(int(pixel), windows, cols, photos, pattern=pattern, place_px=float(place[pixel]), fit=fit)
+        _curve(
+            int(pixel),
+            windows,
+            cols,
+            photos,
+            pattern=pattern,
+            place_px=float(place[pixel]),
+            fit=fit,
+            continuous=continuous,
+        )
         for pixel in np.unique(pixels)
         if np.isfinite(place[pixel])
     )
@@ -46,6 +56,7 @@ def _curve(
     pattern: StripePattern,
     place_px: float,
     fit: tuple[np.ndarray, StripeFit, np.ndarray] | None,
+    continuous: bool,
 ) -> SampleCurve:
     number = windows.peak_index[pixel] + np.arange(-windows.half_width, windows.half_width + 1)
     inside = (number >= 0) & (number < windows.photo_count)
@@ -55,8 +66,8 @@ def _curve(
     if fit is not None:
         fitted_pixels, values, footprint = fit
         row = int(np.searchsorted(fitted_pixels, pixel))
-        shape, _ = footprint_average(
-            (x - place_px)[None, :], footprint[row : row + 1, 0], footprint[row : row + 1, 1], pattern
+        shape, _ = expected_curve(
+            x[None, :], np.array([place_px]), footprint[row : row + 1], pattern=pattern, continuous=continuous
         )
         model = tuple((values.background[row] + values.amplitude[row] * shape[0]).tolist())
         sd_px = float(values.sd_px[row])

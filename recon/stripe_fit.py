@@ -13,14 +13,12 @@ from jaxtyping import Bool, Float64, Int64
 
 from recon.manifest import StripePattern
 from recon.noise import NoiseModel
-from recon.stripe_model import footprint_average
+from recon.stripe_model import expected_curve
 from recon.stripe_peak import PeakWindows
 
 GAUSS_NEWTON_STEPS = 8
 # A step of the iteration may not leave the neighbourhood of the brightest sample.
 LARGEST_CORRECTION_STEPS = 0.5
-# A stripe of so few steps can be seen in one photo alone; a broader one always has flanks.
-SHARP_STEPS = 2.0
 # Beyond this sd (in stripe steps) the curve's peak is flat on the scale of the curve itself.
 INTERVAL_SD_STEPS = 0.03
 GRID_POINTS = 41
@@ -78,6 +76,7 @@ def fit_stripe(
     pattern: StripePattern,
     noise: NoiseModel,
     clipped: int,
+    continuous: bool,
     intervals: bool = True,
 ) -> StripeFit:
     """Fit the curve of every listed pixel, some thousands at a time so that memory stays small.
@@ -86,12 +85,21 @@ def fit_stripe(
     on the display, in device pixels. ``intervals=False`` skips the slow treatment of places known only to an interval, for
     a round whose result is refined again.
     """
-    sharp = intervals and pattern.width_px <= SHARP_STEPS * pattern.step_px
     parts = []
     for low in range(0, max(len(pixels), 1), PIXELS_A_CHUNK):
         part = slice(low, low + PIXELS_A_CHUNK)
         samples = curve_samples(windows, pixels[part], black=black, pattern=pattern, clipped=clipped)
-        parts.append(_fit_chunk(samples, start_px[part], footprint_px[part], pattern=pattern, noise=noise, sharp=sharp))
+        parts.append(
+            _fit_chunk(
+                samples,
+                start_px[part],
+                footprint_px[part],
+                pattern=pattern,
+                noise=noise,
+                continuous=continuous,
+                intervals=intervals,
+            )
+        )
     return StripeFit(*(np.concatenate([getattr(part, name) for part in parts]) for name in StripeFit.__slots__))
 
 
@@ -102,13 +110,21 @@ def _fit_chunk(
     *,
     pattern: StripePattern,
     noise: NoiseModel,
-    sharp: bool,
+    continuous: bool,
+    intervals: bool,
 ) -> StripeFit:
     place = start_px.copy()
     limit = LARGEST_CORRECTION_STEPS * pattern.step_px
     moving = np.arange(len(place))
     for _ in range(GAUSS_NEWTON_STEPS):
-        step = _linearise(samples.some(moving), place[moving], footprint_px[moving], pattern=pattern, noise=noise)
+        step = _linearise(
+            samples.some(moving),
+            place[moving],
+            footprint_px[moving],
+            pattern=pattern,
+            noise=noise,
+            continuous=continuous,
+        )
         farthest = 2 * pattern.step_px
         place[moving] = np.clip(
             place[moving] + np.clip(step.correction, -limit, limit),
@@ -119,14 +135,19 @@ def _fit_chunk(
         moving = moving[np.abs(step.correction) * np.sqrt(step.information) > 0.01]
         if len(moving) == 0:
             break
-    state = _linearise(samples, place, footprint_px, pattern=pattern, noise=noise)
+    state = _linearise(samples, place, footprint_px, pattern=pattern, noise=noise, continuous=continuous)
     sd = 1 / np.sqrt(np.maximum(state.information, 1e-30))
-    vague = sharp & ((sd > INTERVAL_SD_STEPS * pattern.step_px) | (np.abs(state.correction) > 0.2 * sd))
+    vague = intervals & ((sd > INTERVAL_SD_STEPS * pattern.step_px) | (np.abs(state.correction) > 0.2 * sd))
     if vague.any():
         place[vague], sd[vague] = _interval(
-            samples.some(vague), start_px[vague], footprint_px[vague], pattern=pattern, noise=noise
+            samples.some(vague),
+            start_px[vague],
+            footprint_px[vague],
+            pattern=pattern,
+            noise=noise,
+            continuous=continuous,
         )
-        state = _linearise(samples, place, footprint_px, pattern=pattern, noise=noise)
+        state = _linearise(samples, place, footprint_px, pattern=pattern, noise=noise, continuous=continuous)
     freedom = np.maximum(samples.usable.sum(axis=1) + 1.0 - 3.0, 1.0)
     # Where the curve is not quite the model's, the misfit is taken as noise of the same kind (Birge's ratio).
     sd *= np.sqrt(np.maximum(state.chi_square / freedom, 1.0))
@@ -149,16 +170,17 @@ def _linearise(
     *,
     pattern: StripePattern,
     noise: NoiseModel,
+    continuous: bool,
 ) -> _Linearised:
     """Solve for amplitude and background at these places, and for the next Gauss–Newton step of the place."""
-    shape, slope = footprint_average(samples.place_px - place[:, None], footprint_px[:, 0], footprint_px[:, 1], pattern)
+    shape, slope = expected_curve(samples.place_px, place, footprint_px, pattern=pattern, continuous=continuous)
     height = samples.counts - samples.black[:, None]
     weight = samples.usable / noise.variance(height)
     # The black photo is one more measurement of the background.
     black_weight = 1 / noise.variance(np.zeros(1))[0]
     linear = _linear_part(weight, shape, height, black_weight)
     residual = height - linear.amplitude[:, None] * shape - linear.background[:, None]
-    by_place = -linear.amplitude[:, None] * slope
+    by_place = linear.amplitude[:, None] * slope
     # Remove from the derivative what amplitude and background could do instead.
     s_dm = _row_sums(weight * by_place, shape)
     s_d = _row_sums(weight, by_place)
@@ -219,10 +241,11 @@ def _profile_chi_square(
     weight: np.ndarray,
     *,
     pattern: StripePattern,
+    continuous: bool,
     black_weight: float,
 ) -> np.ndarray:
     """Return chi-square at these places with amplitude and background at their best."""
-    shape, _ = footprint_average(samples.place_px - place[:, None], footprint_px[:, 0], footprint_px[:, 1], pattern)
+    shape, _ = expected_curve(samples.place_px, place, footprint_px, pattern=pattern, continuous=continuous)
     height = samples.counts - samples.black[:, None]
     linear = _linear_part(weight, shape, height, black_weight)
     residual = height - linear.amplitude[:, None] * shape - linear.background[:, None]
@@ -236,15 +259,22 @@ def _interval(
     *,
     pattern: StripePattern,
     noise: NoiseModel,
+    continuous: bool,
 ) -> tuple[np.ndarray, np.ndarray]:
     """Return mean and sd of the place under the profile likelihood, over a grid about the brightest sample."""
-    grid = np.linspace(-1.25, 1.25, GRID_POINTS) * pattern.step_px
+    grid = np.linspace(-1.25, 1.25, GRID_POINTS) * max(pattern.step_px, 1.0)
     weight = samples.usable / noise.variance(samples.counts - samples.black[:, None])
     black_weight = float(1 / noise.variance(np.zeros(1))[0])
     chi_square = np.stack(
         [
             _profile_chi_square(
-                samples, start_px + offset, footprint_px, weight, pattern=pattern, black_weight=black_weight
+                samples,
+                start_px + offset,
+                footprint_px,
+                weight,
+                pattern=pattern,
+                continuous=continuous,
+                black_weight=black_weight,
             )
             for offset in grid
         ],

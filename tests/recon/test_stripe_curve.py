@@ -114,6 +114,7 @@ def fitted(
         pattern=pattern,
         noise=noise,
         clipped=65534,
+        continuous=True,
     )
 
 
@@ -159,7 +160,7 @@ def test_clipped_samples_are_left_out_rather_than_fitted_through() -> None:
     pixels = np.arange(1000, dtype=np.int64)
     start = windows.peak_index.astype(np.float64)
     widths = np.tile([0.7, 0.4], (1000, 1))
-    settings_ = {"black": black, "pattern": COSINE, "noise": NoiseModel(256.0)}
+    settings_ = {"black": black, "pattern": COSINE, "noise": NoiseModel(256.0), "continuous": True}
     kept_out = fit_stripe(clipped, pixels, start, widths, clipped=ceiling, **settings_)
     through = fit_stripe(clipped, pixels, start, widths, clipped=65534, **settings_)
     error = np.sqrt(((kept_out.place_px - centre) ** 2).mean())
