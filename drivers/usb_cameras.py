@@ -4,6 +4,7 @@ Still-image cameras say so in an interface of class 6 (USB Still Image Capture D
 and from pyusb's manual; has not met real hardware.
 """
 
+import contextlib
 import os
 import time
 from collections.abc import Callable
@@ -89,14 +90,20 @@ def programs_holding(camera: UsbCamera, *, proc: Path = Path("/proc")) -> tuple[
     wanted = f"/bus/usb/{camera.node}"
     found = []
     for process in sorted(proc.glob("[0-9]*"), key=lambda path: int(path.name)):
-        try:
-            targets = [os.readlink(link) for link in (process / "fd").iterdir()]
-            name = (process / "comm").read_text(encoding="utf-8").strip()
-        except OSError:
-            continue  # it ended meanwhile, or belongs to somebody else
-        if any(target.endswith(wanted) for target in targets):
-            found.append(f"{name} ({process.name})")
+        if any(target.endswith(wanted) for target in _open_files(process)):
+            with contextlib.suppress(OSError):  # it ended meanwhile
+                found.append(f"{(process / 'comm').read_text(encoding='utf-8').strip()} ({process.name})")
     return tuple(found)
+
+
+def _open_files(process: Path) -> list[str]:
+    """Return what a process has open, as far as we may see it; files come and go while we look."""
+    targets = []
+    with contextlib.suppress(OSError):
+        for link in (process / "fd").iterdir():
+            with contextlib.suppress(OSError):
+                targets.append(os.readlink(link))
+    return targets
 
 
 def permission_fault(camera: UsbCamera, *, usb_devices: Path = Path("/dev/bus/usb")) -> str | None:
