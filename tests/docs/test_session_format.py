@@ -1,5 +1,6 @@
 """The page on the session format is complete, and its worked example is a session."""
 
+import ast
 import re
 import subprocess
 from pathlib import Path
@@ -40,6 +41,15 @@ def rows(model_name: str) -> dict[str, list[str]]:
     return {row[0].strip("` "): row[1:] for row in cells}
 
 
+def journal_events(module: ast.Module) -> set[str]:
+    """Return the names of events in calls such as ``writer.journal.append("sweep_started", ...)``."""
+    calls = [node for node in ast.walk(module) if isinstance(node, ast.Call) and node.args]
+    appends = [call for call in calls if ast.unparse(call.func).endswith("journal.append")]
+    strings = [node for call in appends for node in ast.walk(call.args[0]) if isinstance(node, ast.Constant)]
+    # "_started" alone is the constant end of f"{direction}_started".
+    return {str(node.value) for node in strings if not str(node.value).startswith("_")}
+
+
 def code_blocks(language: str) -> list[str]:
     return re.findall(rf"^```{language}\n(.*?)^```", PAGE, re.MULTILINE | re.DOTALL)
 
@@ -55,6 +65,13 @@ def test_a_field_is_said_to_be_required_exactly_where_the_parser_requires_it(mod
     fields = MODELS[model_name].model_fields
     said = {name for name, row in rows(model_name).items() if row[1] == "—"} - {"event"}
     assert said == {name for name, field in fields.items() if field.is_required()}
+
+
+def test_every_event_that_the_rig_writes_is_described() -> None:
+    sources = [path.read_text(encoding="utf-8") for path in (REPOSITORY / "rig").glob("*.py")]
+    written = set().union(*(journal_events(ast.parse(source)) for source in sources))
+    assert {"capture_started", "came_to_rest", "sweep_started"} <= written
+    assert {event for event in written if f"`{event}`" not in PAGE} == set()
 
 
 @pytest.fixture(scope="module")
