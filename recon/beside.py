@@ -10,6 +10,7 @@ from dataclasses import dataclass
 import cv2
 import numpy as np
 from jaxtyping import Bool, Float64
+from scipy.ndimage import label
 
 from recon.entry_point import EntryPoints
 from recon.light_paths import LightPaths
@@ -61,7 +62,17 @@ def liquid_surface(
     with np.errstate(invalid="ignore"):
         on_level = np.abs(height) <= SIGMA * np.maximum(sd, level.scatter_mm)
         aligned = np.abs(normal @ level.upright) > np.cos(ALIGNED_RAD)
-    return straight & on_level & aligned
+    return _in_regions(straight & on_level & aligned, pixels=pixels, shape=shape)
+
+
+def _in_regions(found: np.ndarray, *, pixels: np.ndarray, shape: tuple[int, int]) -> np.ndarray:
+    """Keep what lies in connected regions larger than a neighbourhood."""
+    grid = np.zeros(shape, dtype=bool)
+    grid.ravel()[pixels[found]] = True
+    regions, _ = label(grid)
+    size = np.bincount(regions.ravel())
+    size[0] = 0
+    return found & (size[regions.ravel()[pixels]] > NEIGHBOURHOOD_PX**2)
 
 
 def _straight(air: LightPaths, camera_mm: np.ndarray, *, pixels: np.ndarray, shape: tuple[int, int]) -> np.ndarray:
