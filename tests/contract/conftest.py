@@ -6,6 +6,7 @@ A driver with its emulator joins a suite by one more entry in ``STAGES``, ``PUMP
 from collections.abc import Callable, Iterator
 from contextlib import AbstractContextManager, contextmanager
 from dataclasses import dataclass
+from functools import partial
 from typing import Any, Generic, TypeVar
 
 import numpy as np
@@ -15,6 +16,8 @@ from drivers.gphoto2_camera import Gphoto2Camera
 from drivers.grbl_stage import GrblStage
 from drivers.new_era_pump import NewEraPump
 from drivers.protocols import Camera, Display, Frame, Pump, Stage
+from drivers.tank_board import TankBoard
+from drivers.zaber_stage import ZaberStage
 from sim_backend.camera import SimulatedCamera
 from sim_backend.clock import SimulatedClock
 from sim_backend.display import SimulatedDisplay
@@ -26,8 +29,10 @@ from sim_backend.ptpip.world_photos import WorldPhotos
 from sim_backend.pump import SimulatedPump
 from sim_backend.scene import load_scene
 from sim_backend.stage import SimulatedStage
-from sim_backend.wire import PtyServer
+from sim_backend.tank_board_emulator import TankBoardEmulator
+from sim_backend.wire import Emulator, PtyServer, TcpServer, WireServer
 from sim_backend.world import TankSize, World, WorldState
+from sim_backend.zaber_emulator import ZaberEmulator
 
 COLUMNS, ROWS = 64, 64
 TRAVEL_MM = (0.0, 100.0)
@@ -67,6 +72,24 @@ def grbl_stage_on_a_terminal() -> Iterator[Bench[Stage]]:
 
 
 @contextmanager
+def zaber_stage(server: Callable[[Emulator], WireServer]) -> Iterator[Bench[Stage]]:
+    world, microstep_mm = empty_world(), 0.000047625
+    emulator = ZaberEmulator(world, travel_mm=TRAVEL_MM, microstep_mm=microstep_mm, velocity_mm_per_s=25.0)
+    with (
+        server(emulator) as wire,
+        ZaberStage(
+            wire.address,
+            microstep_mm=microstep_mm,
+            travel_mm=TRAVEL_MM,
+            velocity_mm_per_s=10.0,
+            clock=world.clock,
+            kind="emulated",
+        ) as stage,
+    ):
+        yield Bench(stage, world)
+
+
+@contextmanager
 def simulated_pump() -> Iterator[Bench[Pump]]:
     world = empty_world()
     with SimulatedPump(world, rate_ml_per_min=PUMP_ML_PER_MIN) as pump:
@@ -90,6 +113,20 @@ def new_era_pump_in_basic_mode() -> Iterator[Bench[Pump]]:
         PtyServer(NewEraEmulator(world)) as wire,
         NewEraPump(
             wire.address, rate_ml_per_min=PUMP_ML_PER_MIN, diameter_mm=12.0, mode="basic", kind="emulated"
+        ) as pump,
+    ):
+        yield Bench(pump, world)
+
+
+@contextmanager
+def tank_board() -> Iterator[Bench[Pump]]:
+    world = empty_world()
+    rate_ml_per_s = PUMP_ML_PER_MIN / 60
+    board = TankBoardEmulator(world, fill_ml_per_s=rate_ml_per_s, drain_ml_per_s=rate_ml_per_s)
+    with (
+        PtyServer(board) as wire,
+        TankBoard(
+            wire.address, fill_ml_per_min=PUMP_ML_PER_MIN, drain_ml_per_min=PUMP_ML_PER_MIN, kind="emulated"
         ) as pump,
     ):
         yield Bench(pump, world)
@@ -122,11 +159,17 @@ def libgphoto2_over_ptp_ip() -> Iterator[Bench[Camera]]:
 
 
 Opener = Callable[[], AbstractContextManager[Bench[Any]]]
-STAGES: dict[str, Opener] = {"simulated": simulated_stage, "GRBL on a terminal": grbl_stage_on_a_terminal}
+STAGES: dict[str, Opener] = {
+    "simulated": simulated_stage,
+    "GRBL on a terminal": grbl_stage_on_a_terminal,
+    "Zaber on a terminal": partial(zaber_stage, PtyServer),
+    "Zaber on TCP": partial(zaber_stage, TcpServer),
+}
 PUMPS: dict[str, Opener] = {
     "simulated": simulated_pump,
     "new era": new_era_pump,
     "new era in basic mode": new_era_pump_in_basic_mode,
+    "tank board": tank_board,
 }
 DISPLAYS: dict[str, Opener] = {"simulated": simulated_display}
 CAMERAS: dict[str, Opener] = {"simulated": simulated_camera, "libgphoto2 over PTP/IP": libgphoto2_over_ptp_ip}
