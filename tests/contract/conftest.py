@@ -11,6 +11,7 @@ from typing import Any, Generic, TypeVar
 
 import numpy as np
 import pytest
+from browser_display import close_browser, close_pages, stripe_player_in_chromium
 
 from drivers.gphoto2_camera import Gphoto2Camera
 from drivers.grbl_stage import GrblStage
@@ -43,7 +44,7 @@ D = TypeVar("D")
 @dataclass(frozen=True)
 class Bench(Generic[D]):
     device: D
-    world: World
+    world: Any  # a World, or what looks at the device in its place
 
 
 def empty_world() -> World:
@@ -140,6 +141,12 @@ def simulated_display() -> Iterator[Bench[Display]]:
 
 
 @contextmanager
+def browser_display() -> Iterator[Bench[Display]]:
+    with stripe_player_in_chromium(COLUMNS, ROWS) as (player, screen):
+        yield Bench(player, screen)
+
+
+@contextmanager
 def simulated_camera() -> Iterator[Bench[Camera]]:
     world = empty_world()
     optics = Photographer(load_scene("semi_ellipsoid").resized(camera_columns=32, display_columns=COLUMNS))
@@ -171,7 +178,7 @@ PUMPS: dict[str, Opener] = {
     "new era in basic mode": new_era_pump_in_basic_mode,
     "tank board": tank_board,
 }
-DISPLAYS: dict[str, Opener] = {"simulated": simulated_display}
+DISPLAYS: dict[str, Opener] = {"simulated": simulated_display, "stripe player in Chromium": browser_display}
 CAMERAS: dict[str, Opener] = {"simulated": simulated_camera, "libgphoto2 over PTP/IP": libgphoto2_over_ptp_ip}
 
 
@@ -186,8 +193,15 @@ def open_pump(request: pytest.FixtureRequest) -> Opener:
 
 
 @pytest.fixture(params=DISPLAYS)
-def open_display(request: pytest.FixtureRequest) -> Opener:
-    return DISPLAYS[request.param]
+def open_display(request: pytest.FixtureRequest) -> Iterator[Opener]:
+    yield DISPLAYS[request.param]
+    close_pages()
+
+
+@pytest.fixture(scope="session", autouse=True)
+def the_browser_ends_with_the_tests() -> Iterator[None]:
+    yield
+    close_browser()
 
 
 @pytest.fixture(params=CAMERAS)
