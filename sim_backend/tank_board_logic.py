@@ -81,7 +81,10 @@ class TankBoardLogic:
         if time_text is None and verb == "HB":
             self._heard_ms = now_ms
         elif time_text is None and verb == "STOP":
-            self.state, self.fault = "IDLE", "leak" if self._leak.open else "none"
+            self.state = "IDLE"
+            reply = self.reply(verb)  # names the fault that this STOP acknowledges
+            self.fault = "leak" if self._leak.open else "none"
+            return reply
         elif time_text is None and verb == "ID?":
             return f"{self.reply(verb)} id={IDENTITY}"
         elif verb not in QUESTIONS or time_text is not None:

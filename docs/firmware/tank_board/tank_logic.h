@@ -93,7 +93,9 @@ class Logic {
       heard_ms_ = now_ms;
     } else if (!strcmp(verb, "STOP")) {
       state_ = kIdle;
+      write(reply, size, "OK", verb, "");  // names the fault that this STOP acknowledges
       fault_ = leak_.open() ? kLeak : kNone;
+      return;
     } else if (!strcmp(verb, "ID?")) {
       write(reply, size, "OK", verb, "");
       append(reply, size, " id=", kIdentity);
