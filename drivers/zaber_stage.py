@@ -118,6 +118,11 @@ class ZaberStage:
         self._link.ask("warnings clear")
         target = round(position_mm / self._microstep_mm)
         self._drive(f"move abs {target}", timeout_s=timeout_s, what=what)
+        if self._flags() & NOT_HOMED:
+            raise DeviceAlarmError(
+                f"stage: the device restarted during {what} and its position is lost; check the power supply, then home "
+                "the stage"
+            )
         found = self._microsteps(self._link.ask("get pos"))
         if abs(found - target) > 1:
             raise DeviceProtocolError(

@@ -1,0 +1,328 @@
+"""The Zaber stage and each thing that goes wrong with one, with the sentence that the operator reads."""
+
+import threading
+import time
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from dataclasses import dataclass, field
+
+import numpy as np
+import pytest
+
+from drivers.errors import (
+    DeviceAlarmError,
+    DeviceNotFoundError,
+    DeviceProtocolError,
+    DeviceTimeoutError,
+    OutOfTravelError,
+    UnknownPositionError,
+)
+from drivers.protocols import Frame
+from drivers.zaber_protocol import ZaberMessage, checksum, read_message, write_command
+from drivers.zaber_stage import ZaberStage
+from sim_backend.clock import SimulatedClock
+from sim_backend.wire import PtyServer
+from sim_backend.world import TankSize, World, WorldState
+from sim_backend.zaber_emulator import ZaberEmulator
+
+MICROSTEP_MM = 0.000047625
+TRAVEL_MM = (0.0, 100.0)
+
+
+@dataclass
+class Rig:
+    world: World
+    emulator: ZaberEmulator
+    wire: PtyServer
+    stage: ZaberStage
+    sent: list[bytes] = field(default_factory=list)
+
+
+def build(**settings: object) -> Rig:
+    dark = Frame(axis="x", levels=np.zeros(8, np.uint8))
+    world = World(clock=SimulatedClock(), tank=TankSize(1.0, 1.0), dark_frame=dark, state=WorldState(stage_mm=37.0))
+    emulator = ZaberEmulator(world, travel_mm=TRAVEL_MM, microstep_mm=MICROSTEP_MM, velocity_mm_per_s=25.0)
+    wire = PtyServer(emulator)
+    sent: list[bytes] = []
+    wanted = {"microstep_mm": MICROSTEP_MM, "travel_mm": TRAVEL_MM, "velocity_mm_per_s": 10.0} | settings
+    stage = ZaberStage(
+        wire.address,
+        clock=world.clock,
+        trace=lambda direction, _, data: sent.append(data) if direction == "sent" else None,
+        **wanted,
+    )
+    return Rig(world, emulator, wire, stage, sent)
+
+
+@contextmanager
+def opened(**settings: object) -> Iterator[Rig]:
+    rig = build(**settings)
+    with rig.wire, rig.stage:
+        yield rig
+
+
+@contextmanager
+def homed(**settings: object) -> Iterator[Rig]:
+    with opened(**settings) as rig:
+        rig.stage.home(timeout_s=60.0)
+        yield rig
+
+
+def open_fails(**settings: object) -> None:
+    with opened(**settings):
+        pass
+
+
+def while_moving(rig: Rig, act: Callable[[], None]) -> None:
+    """Do ``act`` from the side as soon as the carriage is under way, once."""
+
+    def watch() -> None:
+        deadline_s = time.monotonic() + 10.0
+        while not rig.world.is_moving() and time.monotonic() < deadline_s:
+            time.sleep(0.001)
+        act()
+
+    threading.Thread(target=watch, daemon=True).start()
+
+
+# The frame, with the examples of the manual and of zproto
+
+
+@pytest.mark.parametrize(
+    ("body", "digits"),
+    [
+        (b"1 0 00 get pos", b"2D"),
+        (b"1 1 02 home", b"33"),
+        (b"1 1 03", b"FB"),
+        (b"1 1 10 move abs 5000", b"EB"),
+        (b"01 0 00 OK IDLE WR 0", b"BE"),
+        (b"01 tools echo", b"8F"),
+    ],
+)
+def test_checksums_are_those_of_the_manual(body: bytes, digits: bytes) -> None:
+    assert checksum(body) == digits
+
+
+def test_a_status_poll_has_no_words_and_the_frame_of_the_manual() -> None:
+    assert write_command("", device=1, axis=1, message_id=3) == b"/1 1 03:FB\n"
+
+
+def test_replies_alerts_and_infos_are_told_apart_and_a_wrong_checksum_is_noise() -> None:
+    reply = ZaberMessage("@", 1, 0, "00", accepted=True, busy=False, flag="WR", data="0")
+    assert read_message(b"@01 0 00 OK IDLE WR 0:BE\r\n") == reply
+    assert read_message(b"\xff\x00@01 0 00 OK IDLE WR 0:BE\r\n") == reply
+    assert read_message(b"@01 0 00 OK IDLE WR 1:BE\r\n") is None
+    assert read_message(b"!01 1 IDLE --\r\n") == ZaberMessage("!", 1, 1, data="IDLE --")
+    assert read_message(b"#01 0 setting saved\r\n") == ZaberMessage("#", 1, 0, data="setting saved")
+    assert read_message(b"nonsense\r\n") is None
+
+
+# The way it should go
+
+
+def test_every_command_carries_an_id_and_a_checksum_and_positions_are_microsteps() -> None:
+    with homed() as rig:
+        rig.sent.clear()
+        started_s = rig.world.clock.now_s()
+        rig.stage.move_to_mm(47.625, timeout_s=60.0)
+        (move,) = [line for line in rig.sent if b"move" in line]
+        assert move.startswith(b"/1 1 ")
+        assert b" move abs 1000000:" in move  # 47.625 mm of 0.000047625 mm each
+        assert rig.world.clock.now_s() - started_s == pytest.approx(4.76, abs=0.5)  # at 10 mm/s, not at its own 25
+        for line in rig.sent:
+            assert checksum(line[1:-4]) == line[-3:-1]
+
+
+def test_the_device_says_who_it_is() -> None:
+    with opened() as rig:
+        assert rig.stage.info().model == "Zaber device 50081"
+        assert rig.stage.info().version == "7.35"
+
+
+def test_a_stage_that_was_homed_is_still_homed_when_its_port_is_opened_again() -> None:
+    rig = build()
+    with rig.wire:
+        with rig.stage:
+            rig.stage.home(timeout_s=60.0)
+        with rig.stage:
+            assert rig.stage.is_homed()
+            rig.stage.move_to_mm(20.0, timeout_s=60.0)
+        assert rig.world.stage_mm() == pytest.approx(20.0, abs=0.001)
+
+
+def test_alerts_infos_and_noise_do_not_disturb_a_move() -> None:
+    with homed() as rig:
+        rig.stage._link.ask("set comm.alert 1", of_axis=False)
+        while_moving(rig, lambda: (rig.emulator.remark("setting saved"), rig.wire.faults.inject(b"\xff@!\x00\r\n")))
+        rig.stage.move_to_mm(60.0, timeout_s=60.0)
+        rig.stage.move_to_mm(10.0, timeout_s=60.0)
+        assert rig.world.stage_mm() == pytest.approx(10.0, abs=0.001)
+
+
+# Position unknown
+
+
+def test_a_power_cut_between_two_moves_is_noticed_before_the_next() -> None:
+    with homed() as rig:
+        rig.emulator.power_cycle()
+        assert not rig.stage.is_homed()
+        with pytest.raises(UnknownPositionError, match="20 mm asked, but it was not homed; home the stage first"):
+            rig.stage.move_to_mm(20.0, timeout_s=60.0)
+
+
+def test_a_power_cut_during_a_move_is_not_called_done() -> None:
+    with homed() as rig:
+        while_moving(rig, rig.emulator.power_cycle)
+        with pytest.raises(DeviceAlarmError, match=r"restarted during the move to 90 mm.*home the stage"):
+            rig.stage.move_to_mm(90.0, timeout_s=60.0)
+        assert not rig.stage.is_homed()
+
+
+# Warning flags
+
+
+@pytest.mark.parametrize(
+    ("flag", "says"),
+    [
+        ("FS", "during the move to 90 mm the device warned with FS: it stalled and stopped; look for an obstacle"),
+        ("WL", "WL: a limit switch was hit where none was expected"),
+        ("NI", "NI: the movement was interrupted by another command or by its knob; move again"),
+        ("FO", "FO: its driver is switched off; enable it and home the stage"),
+        ("FH", "FH: the emergency stop is pressed; release it"),
+    ],
+)
+def test_a_fault_during_a_move_is_a_failure_though_the_device_is_idle(flag: str, says: str) -> None:
+    with homed() as rig:
+        while_moving(rig, lambda: rig.emulator.fail(flag))
+        with pytest.raises(DeviceAlarmError, match=says):
+            rig.stage.move_to_mm(90.0, timeout_s=60.0)
+        assert not rig.world.is_moving()
+
+
+def test_a_stage_that_was_pushed_while_it_stood_wants_to_be_homed() -> None:
+    with homed() as rig:
+        rig.stage.move_to_mm(50.0, timeout_s=60.0)
+        rig.emulator.push(0.5)
+        assert rig.stage.position_mm() == pytest.approx(50.5, abs=0.001)
+        assert not rig.stage.is_homed()
+        with pytest.raises(DeviceAlarmError, match=r"before the move to 20 mm .*WM: it was pushed out of its place"):
+            rig.stage.move_to_mm(20.0, timeout_s=60.0)
+        assert rig.world.stage_mm() == pytest.approx(50.5)
+        rig.stage.home(timeout_s=60.0)
+        rig.stage.move_to_mm(20.0, timeout_s=60.0)
+        assert rig.world.stage_mm() == pytest.approx(20.0, abs=0.001)
+
+
+def test_a_move_after_one_that_was_stopped_succeeds() -> None:
+    with homed() as rig:
+        with pytest.raises(DeviceTimeoutError, match="the move to 90 mm was not over after 1 s; the stage was stopped"):
+            rig.stage.move_to_mm(90.0, timeout_s=1.0)
+        rig.stage.move_to_mm(20.0, timeout_s=60.0)
+        assert rig.world.stage_mm() == pytest.approx(20.0, abs=0.001)
+
+
+# Refused
+
+
+@pytest.mark.parametrize(
+    ("settings", "says"),
+    [
+        ({"travel_mm": (0.0, 150.0)}, "travel_mm is 0 to 150 mm, the device allows 0 to 100 mm .* correct travel_mm"),
+        ({"microstep_mm": MICROSTEP_MM / 2}, r"the device allows 0 to 50 mm .*or microstep_mm"),
+    ],
+)
+def test_a_travel_that_the_device_does_not_have_is_refused_on_opening(settings: dict[str, object], says: str) -> None:
+    with pytest.raises(DeviceProtocolError, match=says):
+        open_fails(**settings)
+
+
+def test_a_target_that_the_device_rejects_moves_nothing() -> None:
+    with homed() as rig:
+        rig.emulator.receive(b"/1 set limit.max 1000000\n")
+        with pytest.raises(OutOfTravelError, match=r"rejected with BADDATA: .*check travel_mm against limit\.max"):
+            rig.stage.move_to_mm(90.0, timeout_s=60.0)
+        assert rig.world.stage_mm() == pytest.approx(0.0)
+
+
+def test_a_device_of_another_number_is_not_there() -> None:
+    with pytest.raises(DeviceTimeoutError, match=r"the reply of device 2 to 'a status poll'.*nothing came"):
+        open_fails(device=2)
+
+
+def test_an_axis_that_the_device_does_not_have_is_refused() -> None:
+    with pytest.raises(DeviceProtocolError, match="BADAXIS: it has no such axis"):
+        open_fails(axis=2)
+
+
+# The wire
+
+
+def test_a_silent_device_is_a_timeout_and_not_a_hang() -> None:
+    with homed() as rig:
+        rig.wire.faults.silent = True
+        with pytest.raises(DeviceTimeoutError, match="nothing came; is it switched on"):
+            rig.stage.position_mm()
+        rig.wire.faults.silent = False
+
+
+def test_a_cable_pulled_out_during_a_move_is_said_in_one_sentence() -> None:
+    rig = build()
+
+    def move_and_lose_the_cable() -> None:
+        with rig.stage:
+            rig.stage.home(timeout_s=60.0)
+            while_moving(rig, rig.wire.vanish)
+            rig.stage.move_to_mm(90.0, timeout_s=60.0)
+
+    with rig.wire, pytest.raises(DeviceNotFoundError, match=r"stage: .* has vanished .*check the cable"):
+        move_and_lose_the_cable()
+
+
+@pytest.mark.parametrize("direction", ["to_host", "to_device"])
+def test_a_lost_byte_costs_a_repetition_and_nothing_else(direction: str) -> None:
+    with homed() as rig:
+        for _ in range(3):
+            getattr(rig.wire.faults, f"drop_{direction}")(1)
+            assert rig.stage.position_mm() == pytest.approx(0.0, abs=0.001)
+        rig.stage.move_to_mm(60.0, timeout_s=60.0)
+        assert rig.world.stage_mm() == pytest.approx(60.0, abs=0.001)
+
+
+@pytest.mark.parametrize("lost", [b"move abs", b"@01 1"])
+def test_a_lost_order_or_its_lost_reply_does_not_lose_the_move(lost: bytes) -> None:
+    with homed() as rig:
+        ordered = threading.Event()
+        to_device, to_host = rig.wire.faults.to_device, rig.wire.faults.to_host
+
+        def host_says(data: bytes) -> bytes:
+            first = b"move abs" in data and not ordered.is_set()
+            if first:
+                ordered.set()
+                if lost == b"move abs":
+                    return to_device(b"")
+                rig.wire.faults.drop_to_host(9)
+            return to_device(data)
+
+        rig.wire.faults.to_device = host_says
+        rig.stage.move_to_mm(60.0, timeout_s=60.0)
+        rig.wire.faults.to_device = to_device
+        assert ordered.is_set()
+        assert to_host(b"") == b""
+        assert rig.world.stage_mm() == pytest.approx(60.0, abs=0.001)
+
+
+def test_leaving_in_the_middle_of_a_move_leaves_the_stage_still() -> None:
+    rig = build()
+
+    def fall_over() -> None:
+        with rig.stage:
+            rig.stage.home(timeout_s=60.0)
+            rig.stage._begin("move abs 2000000")
+            raise RuntimeError("the sequencer fell over")
+
+    with rig.wire:
+        with pytest.raises(RuntimeError, match="fell over"):
+            fall_over()
+        stopped_mm = rig.world.stage_mm()
+        rig.world.clock.sleep_s(60.0)
+        assert rig.world.stage_mm() == stopped_mm < 90.0
