@@ -5,6 +5,7 @@ import signal
 import subprocess
 import sys
 import time
+from collections.abc import Callable
 from pathlib import Path
 
 import pytest
@@ -12,18 +13,23 @@ from pump_bench import dry_world
 
 from sim_backend.clock import RealClock
 from sim_backend.new_era_emulator import NewEraEmulator
-from sim_backend.wire import PtyServer
+from sim_backend.tank_board_emulator import TankBoardEmulator
+from sim_backend.wire import Emulator, PtyServer
+from sim_backend.world import World
 
-DEAD_MAN_S = 1
+DEAD_MAN_S = 1.0
 RATE_ML_PER_S = 10.0
 # The controller: opens the real driver, starts a fill and watches it, as the sequencer does.
-CONTROLLER = f"""
+CONTROLLER = """
 import sys, time
 from drivers.new_era_pump import NewEraPump
+from drivers.tank_board import TankBoard
 
-with NewEraPump(
-    sys.argv[1], rate_ml_per_min={RATE_ML_PER_S * 60}, diameter_mm=26.59, dead_man_s={DEAD_MAN_S}, kind="emulated"
-) as pump:
+DRIVERS = {
+    "new era": lambda port: NewEraPump(port, rate_ml_per_min=600.0, diameter_mm=26.59, dead_man_s=1, kind="emulated"),
+    "tank board": lambda port: TankBoard(port, fill_ml_per_min=600.0, drain_ml_per_min=600.0, kind="emulated"),
+}
+with DRIVERS[sys.argv[1]](sys.argv[2]) as pump:
     pump.start("fill", volume_ml=4000.0, max_run_s=480.0)
     print("pumping", flush=True)
     while pump.status().running:
@@ -31,12 +37,18 @@ with NewEraPump(
 """
 
 
-def test_kill_9_in_mid_fill_stops_the_pump_within_its_dead_man_time_and_the_tank_holds_what_was_pumped() -> None:
+def tank_board(world: World) -> TankBoardEmulator:
+    return TankBoardEmulator(world, fill_ml_per_s=RATE_ML_PER_S, drain_ml_per_s=RATE_ML_PER_S)
+
+
+@pytest.mark.parametrize(("name", "emulate"), [("new era", NewEraEmulator), ("tank board", tank_board)])
+def test_kill_9_in_mid_fill_stops_the_pump_within_its_dead_man_time_and_the_tank_holds_what_was_pumped(
+    name: str, emulate: Callable[[World], Emulator]
+) -> None:
     world = dry_world(RealClock())
-    emulator = NewEraEmulator(world)
-    with PtyServer(emulator) as wire:
+    with PtyServer(emulate(world)) as wire:
         controller = subprocess.Popen(
-            [sys.executable, "-c", CONTROLLER, wire.address],
+            [sys.executable, "-c", CONTROLLER, name, wire.address],
             cwd=Path(__file__).parents[2],
             stdout=subprocess.PIPE,
             text=True,
@@ -52,12 +64,12 @@ def test_kill_9_in_mid_fill_stops_the_pump_within_its_dead_man_time_and_the_tank
         finally:
             controller.kill()
             controller.wait()
+            assert controller.stdout is not None
             controller.stdout.close()
         time.sleep(DEAD_MAN_S + 0.2)
         assert world.flow_direction() is None
         tank_ml = world.state().tank_ml
         time.sleep(0.3)
         assert world.state().tank_ml == tank_ml
-    assert 2.0 * DEAD_MAN_S * RATE_ML_PER_S * 0.9 < killed_ml <= tank_ml
+    assert 2.0 * DEAD_MAN_S * RATE_ML_PER_S <= killed_ml <= tank_ml
     assert tank_ml - killed_ml <= DEAD_MAN_S * RATE_ML_PER_S + 1e-6
-    assert sum(emulator._motor.dispensed_ml.values()) == pytest.approx(tank_ml)
