@@ -3,6 +3,7 @@
 import contextlib
 import os
 import shutil
+import site
 import socket
 import subprocess
 import sys
@@ -50,6 +51,7 @@ class CameraProcess:
         ours, theirs = socket.socketpair()
         inherited = {name: value for name, value in os.environ.items() if name not in NEVER_INHERITED}
         private = {"XDG_CONFIG_HOME": self._settings_folder, "HOME": self._settings_folder, "LC_ALL": "C"}
+        private["PYTHONUSERBASE"] = site.getuserbase()  # where a library installed for one user is found
         self._process = subprocess.Popen(
             [sys.executable, "-m", "drivers.camera_worker", str(theirs.fileno())],
             pass_fds=[theirs.fileno()],
