@@ -179,7 +179,10 @@ class GrblStage:
         if not low_mm <= position_mm <= high_mm:  # also refuses NaN
             raise OutOfTravelError(f"stage: {position_mm:g} mm asked, travel is {low_mm:g} to {high_mm:g} mm")
         if not self.is_homed():
-            raise UnknownPositionError(f"stage: {position_mm:g} mm asked, but it was not homed; home the stage first")
+            raise UnknownPositionError(
+                f"stage: {position_mm:g} mm asked, but it was not homed since its port was opened or it restarted; home "
+                "the stage first (rig stage move MM --home)"
+            )
         machine_mm = self._machine_mm(position_mm)
         feed_mm_per_min = 60 * self._velocity_mm_per_s
         try:

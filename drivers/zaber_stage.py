@@ -112,7 +112,10 @@ class ZaberStage:
             raise OutOfTravelError(f"stage: {position_mm:g} mm asked, travel is {low_mm:g} to {high_mm:g} mm")
         flags = self._flags()
         if flags & NOT_HOMED:
-            raise UnknownPositionError(f"stage: {position_mm:g} mm asked, but it was not homed; home the stage first")
+            raise UnknownPositionError(
+                f"stage: {position_mm:g} mm asked, but it was not homed since it was switched on; home the stage first "
+                "(rig stage home)"
+            )
         what = f"the move to {position_mm:g} mm"
         self._raise_if_faulty(flags - {"NI"}, f"before {what}")
         self._link.ask("warnings clear")

@@ -89,12 +89,16 @@ class Tank(Part):
 
 
 class StageTravel(Part):
-    """The linear stage: where position 0 and position 1 are, how far it may go and how fast it is."""
+    """The linear stage: where position 0 and position 1 are, how far it may go and how fast it is.
+
+    ``microstep_mm`` is what one microstep moves, for drivers that count in them.
+    """
 
     position_0_mm: Finite
     position_1_mm: Finite
     travel_mm: tuple[Finite, Finite]
     velocity_mm_per_s: Positive
+    microstep_mm: Positive | None = None
 
     @model_validator(mode="after")
     def _positions_lie_within_travel(self) -> Self:
@@ -121,6 +125,29 @@ class Timing(Part):
     photo_mb: Positive
 
 
+class PumpDriver(Part):
+    """What the driver of a real pump needs beside its rate, which stands in the section [tank].
+
+    ``diameter_mm``, ``mode``, ``dead_man_s`` and ``pump_number`` belong to New Era pumps, ``drain_rate_ml_per_min`` and
+    ``level_points`` (counts of the level sensor, ml in the tank) to a tank board.
+    """
+
+    baud: Annotated[int, Field(gt=0)] | None = None
+    diameter_mm: Positive | None = None
+    mode: Literal["safe", "basic"] = "safe"
+    dead_man_s: Annotated[int, Field(ge=1, le=255)] = 5
+    pump_number: Annotated[int, Field(ge=0, le=99)] = 0
+    drain_rate_ml_per_min: Positive | None = None
+    level_points: tuple[tuple[NotNegative, NotNegative], ...] = ()
+
+    @model_validator(mode="after")
+    def _level_can_be_interpolated(self) -> Self:
+        counts = [point[0] for point in self.level_points]
+        if len(counts) == 1 or len(set(counts)) < len(counts):
+            raise ValueError("level_points needs two or more pairs of counts and ml, each count once")
+        return self
+
+
 class DeviceAddresses(Part):
     """Driver and address of each real device, such as ``grbl:/dev/ttyUSB0``; empty where there is none."""
 
@@ -144,6 +171,7 @@ class RigConfig(Part):
     camera: CameraBody
     capture: Capture
     tank: Tank | None = None
+    pump: PumpDriver = PumpDriver()
     stage: StageTravel
     timing: Timing
     devices: DeviceAddresses = DeviceAddresses()

@@ -11,11 +11,15 @@ from pathlib import Path
 
 import numpy as np
 
+from drivers.grbl_stage import GrblStage
+from drivers.new_era_pump import NewEraPump
 from drivers.protocols import Camera, Clock, Device, Display, Frame, LevelSensor, Pump, Stage
+from drivers.tank_board import TankBoard
+from drivers.zaber_stage import ZaberStage
 from recon.manifest import DeviceRecord
 from rig.config import RigConfig
 from rig.errors import ConfigError
-from rig.operators import Operator
+from rig.operators import ConsoleOperator, Operator
 from rig.plan import Request
 from sim_backend.camera import SimulatedCamera
 from sim_backend.clock import RealClock, SimulatedClock
@@ -60,6 +64,17 @@ class Devices:
                     kind=info.kind, model=info.model, address=info.address, version=info.version
                 )
         return records
+
+
+@dataclass(frozen=True, slots=True)
+class TankDevices:
+    """What moving liquid by hand needs; :class:`Devices` has the same parts and more."""
+
+    pump: Pump | None
+    level_sensor: LevelSensor | None
+    operator: Operator
+    clock: Clock
+    camera: Camera | None = None
 
 
 @dataclass(frozen=True, slots=True)
@@ -108,6 +123,107 @@ def open_real_devices(config: RigConfig) -> Iterator[Devices]:
     name = min(wanted)
     raise ConfigError(f"devices.{name}: no driver answers to {addresses[name]!r}; rehearse with --sim")
     yield  # makes this a generator, as a context manager must be
+
+
+@contextmanager
+def open_stage(config: RigConfig, *, simulation: Simulation | None) -> Iterator[Stage]:
+    """Open the stage alone: nothing else need be configured or plugged in. Errors as for :func:`open_devices`."""
+    if simulation is not None:
+        with open_devices(config, simulation=simulation) as devices:
+            yield devices.stage
+        return
+    with real_stage(config, clock=RealClock()) as stage:
+        yield stage
+
+
+def real_stage(config: RigConfig, *, clock: Clock) -> Stage:
+    """Return the stage that ``config`` names, not opened yet; raises ``ConfigError`` where no driver answers to it."""
+    if not config.devices.stage:
+        raise ConfigError(
+            "no stage configured: name driver and address in the section [devices] of the configuration "
+            '(stage = "grbl:/dev/ttyUSB0"), or rehearse with --sim'
+        )
+    driver, _, port = config.devices.stage.partition(":")
+    travel_mm, velocity_mm_per_s = config.stage.travel_mm, config.stage.velocity_mm_per_s
+    if driver == "grbl" and port:
+        return GrblStage(port, travel_mm=travel_mm, velocity_mm_per_s=velocity_mm_per_s, clock=clock)
+    if driver == "zaber" and port:
+        if config.stage.microstep_mm is None:
+            raise ConfigError(
+                "stage.microstep_mm: this value is missing; a Zaber stage counts in microsteps, whose size is in its data "
+                "sheet (X-LSM: 0.000047625)"
+            )
+        return ZaberStage(
+            port,
+            microstep_mm=config.stage.microstep_mm,
+            travel_mm=travel_mm,
+            velocity_mm_per_s=velocity_mm_per_s,
+            clock=clock,
+        )
+    raise ConfigError(
+        f"devices.stage: no driver answers to {config.devices.stage!r}; write grbl:PORT or zaber:PORT, or rehearse with --sim"
+    )
+
+
+@contextmanager
+def open_tank(config: RigConfig, *, simulation: Simulation | None) -> Iterator[Devices | TankDevices]:
+    """Open pump and level sensor alone: nothing else need be configured or plugged in.
+
+    Errors as for :func:`open_devices`.
+    """
+    if simulation is not None:
+        with open_devices(config, simulation=simulation) as devices:
+            yield devices
+        return
+    pump, level_sensor = real_pump(config)
+    with pump:
+        yield TankDevices(pump, level_sensor, ConsoleOperator(), RealClock())
+
+
+def real_pump(config: RigConfig) -> tuple[Pump, LevelSensor | None]:
+    """Return the pump that ``config`` names, and its level sensor if it has a calibrated one; neither is opened yet.
+
+    Raises
+    ------
+    ConfigError
+        Where no driver answers to the name, or a value that the driver needs is missing.
+    """
+    if config.tank is None or not config.devices.pump:
+        raise ConfigError(
+            "no pump configured: name driver and address in the section [devices] of the configuration "
+            '(pump = "new_era:/dev/ttyUSB1"), or rehearse with --sim'
+        )
+    driver, _, port = config.devices.pump.partition(":")
+    rate_ml_per_min, settings = config.tank.pump_rate_ml_per_min, config.pump
+    if driver == "new_era" and port:
+        if settings.diameter_mm is None:
+            raise ConfigError(
+                "pump.diameter_mm: this value is missing; a New Era pump chooses its units by the inside diameter of its "
+                "tubing or syringe"
+            )
+        pump = NewEraPump(
+            port,
+            rate_ml_per_min=rate_ml_per_min,
+            diameter_mm=settings.diameter_mm,
+            mode=settings.mode,
+            dead_man_s=settings.dead_man_s,
+            baud=settings.baud or 19200,
+            pump_number=settings.pump_number,
+        )
+        return pump, None
+    if driver == "tank_board" and port:
+        board = TankBoard(
+            port,
+            fill_ml_per_min=rate_ml_per_min,
+            drain_ml_per_min=settings.drain_rate_ml_per_min or rate_ml_per_min,
+            level_points=settings.level_points,
+            baud=settings.baud or 115200,
+        )
+        return board, board if settings.level_points else None
+    raise ConfigError(
+        f"devices.pump: no driver answers to {config.devices.pump!r}; write new_era:PORT or tank_board:PORT, or rehearse "
+        "with --sim"
+    )
 
 
 @contextmanager
