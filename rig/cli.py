@@ -13,6 +13,7 @@ from drivers.errors import DeviceError
 from recon.errors import ReconError
 from recon.session import open_session
 from rig import options
+from rig.camera_cli import app as camera_app
 from rig.capture import capture as run_capture
 from rig.capture import whole_photos
 from rig.config import DEFAULT_FILE
@@ -37,6 +38,7 @@ app = typer.Typer(
 )
 app.add_typer(stage_app, name="stage")
 app.add_typer(pump_app, name="pump")
+app.add_typer(camera_app, name="camera")
 console = Console(soft_wrap=True, highlight=False)
 
 

@@ -149,9 +149,13 @@ class PumpDriver(Part):
 
 
 class DeviceAddresses(Part):
-    """Driver and address of each real device, such as ``grbl:/dev/ttyUSB0``; empty where there is none."""
+    """Driver and address of each real device, such as ``grbl:/dev/ttyUSB0``; empty where there is none.
+
+    ``camera_profile`` is the kind of camera; empty to choose by the model that answers.
+    """
 
     camera: str = ""
+    camera_profile: str = ""
     display: str = ""
     stage: str = ""
     pump: str = ""

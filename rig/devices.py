@@ -11,6 +11,7 @@ from pathlib import Path
 
 import numpy as np
 
+from drivers.gphoto2_camera import Gphoto2Camera
 from drivers.grbl_stage import GrblStage
 from drivers.new_era_pump import NewEraPump
 from drivers.protocols import Camera, Clock, Device, Display, Frame, LevelSensor, Pump, Stage
@@ -223,6 +224,33 @@ def real_pump(config: RigConfig) -> tuple[Pump, LevelSensor | None]:
     raise ConfigError(
         f"devices.pump: no driver answers to {config.devices.pump!r}; write new_era:PORT or tank_board:PORT, or rehearse "
         "with --sim"
+    )
+
+
+@contextmanager
+def open_camera(config: RigConfig, *, simulation: Simulation | None) -> Iterator[Camera]:
+    """Open the camera alone: nothing else need be configured or plugged in. Errors as for :func:`open_devices`."""
+    if simulation is not None:
+        with open_devices(config, simulation=simulation) as devices:
+            yield devices.camera
+        return
+    with real_camera(config) as camera:
+        yield camera
+
+
+def real_camera(config: RigConfig) -> Camera:
+    """Return the camera that ``config`` names, not opened yet; raises ``ConfigError`` where no driver answers to it."""
+    if not config.devices.camera:
+        raise ConfigError(
+            "no camera configured: name driver and address in the section [devices] of the configuration "
+            '(camera = "gphoto2:usb:"), or rehearse with --sim'
+        )
+    driver, _, address = config.devices.camera.partition(":")
+    if driver == "gphoto2" and address.startswith(("usb:", "ptpip:")):
+        return Gphoto2Camera(address, profile=config.devices.camera_profile)
+    raise ConfigError(
+        f"devices.camera: no driver answers to {config.devices.camera!r}; write gphoto2:usb: or gphoto2:ptpip:HOST, "
+        "or rehearse with --sim"
     )
 
 
