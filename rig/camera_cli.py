@@ -76,7 +76,7 @@ def snap(
 @app.command()
 def settings(
     changes: Annotated[
-        list[str] | None, typer.Argument(metavar="[NAME=VALUE]...", help="Set these first, under the camera's names.")
+        list[str] | None, typer.Argument(metavar="NAME=VALUE", help="Set these first, under the camera's names.")
     ] = None,
     sim: options.SimOption = False,
     config: options.ConfigOption = None,
