@@ -1,7 +1,7 @@
 """A linear stage behind a GRBL 1.1 controller.
 
-Written from GRBL's documentation and proved against an emulator and by other people's programs; it has not met real
-hardware. Moves are jogs (``$J=G53 G90 G21 X.. F..``, ``doc/markdown/jogging.md``): they leave the controller's modes
+Written from GRBL's documentation and proved against an emulator that a foreign client drives as well; it has not met
+real hardware. Moves are jogs (``$J=G53 G90 G21 X.. F..``, ``doc/markdown/jogging.md``): they leave the controller's modes
 alone, are refused instead of raising an alarm when they would leave the travel, and can be cancelled with one byte.
 """
 

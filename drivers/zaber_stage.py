@@ -1,7 +1,7 @@
 """A Zaber linear stage, spoken to in Zaber's ASCII protocol.
 
-Written from the protocol's manual and proved against an emulator; it has not met real hardware. Microsteps never leave
-this module. Moves are absolute; ``move vel``, which has no end, is never used.
+Written from the protocol's manual and proved against an emulator that Zaber's own library drives as well; it has not
+met real hardware. Microsteps never leave this module. Moves are absolute; ``move vel``, which has no end, is never used.
 """
 
 import logging
