@@ -79,7 +79,7 @@ class NewEraLink:
         if reply.address != self._pump_number:
             raise DeviceProtocolError(
                 f"pump: number {reply.address} answered, number {self._pump_number} was asked; set pump_number to "
-                f"{reply.address} in section [devices.pump]"
+                f"{reply.address} in section [pump]"
             )
         return reply
 

@@ -10,7 +10,7 @@ from rich.console import Console
 
 from recon.session import Session, SessionWriter, open_session
 from rig.config import RigConfig
-from rig.devices import Devices
+from rig.devices import Devices, TankDevices
 from rig.errors import CaptureError, CaptureStopped
 from rig.plan import PhotoKey, all_photos, plan_capture, summarise
 from rig.progress import CaptureProgress
@@ -99,7 +99,7 @@ def capture(
         return CaptureResult(sequencer.photos_taken, needed, needed)
 
 
-def tank_ml_now(config: RigConfig, devices: Devices) -> float:
+def tank_ml_now(config: RigConfig, devices: Devices | TankDevices) -> float:
     """Return what the tank holds, from its sensor or from a person; never from what a journal expects."""
     if config.tank is None:
         return 0.0

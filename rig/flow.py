@@ -8,7 +8,7 @@ from collections.abc import Callable
 from drivers.errors import DeviceTimeoutError, OutOfVolumeError
 from drivers.protocols import FlowDirection
 from rig.config import Tank
-from rig.devices import Devices
+from rig.devices import Devices, TankDevices
 from rig.errors import CaptureError
 
 # Slack beyond a pump's own time limit before it counts as stuck.
@@ -19,9 +19,14 @@ KEEP_AWAKE_EVERY_S = 10.0
 
 
 def check_pump_stands(devices: Devices, *, purpose: str) -> None:
-    """Refuse ``purpose`` while the pump runs."""
-    if devices.pump is not None and devices.pump.status().running:
+    """Refuse ``purpose`` while the pump runs, or while it says that something is wrong, such as a leak."""
+    if devices.pump is None:
+        return
+    status = devices.pump.status()
+    if status.running:
         raise CaptureError(f"the pump is running, so it is not safe to {purpose}; stop it and try again")
+    if status.alarm:
+        raise CaptureError(f"pump: {status.alarm}; it is not safe to {purpose}, look at tank and pump first")
 
 
 def check_volume(direction: FlowDirection, *, volume_ml: float, tank_ml: float, tank: Tank) -> None:
@@ -34,7 +39,7 @@ def check_volume(direction: FlowDirection, *, volume_ml: float, tank_ml: float, 
 
 
 def run_flow(
-    devices: Devices,
+    devices: Devices | TankDevices,
     direction: FlowDirection,
     *,
     volume_ml: float,
@@ -60,7 +65,7 @@ def run_flow(
                 raise DeviceTimeoutError(
                     f"pump: still running after {max_run_s:.0f} s; it was told to stop, look at it"
                 )
-            if clock.now_s() - awake_s > KEEP_AWAKE_EVERY_S:
+            if devices.camera is not None and clock.now_s() - awake_s > KEEP_AWAKE_EVERY_S:
                 devices.camera.keep_awake()
                 awake_s = clock.now_s()
             clock.sleep_s(POLL_S)

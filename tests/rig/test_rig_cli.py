@@ -74,7 +74,7 @@ def test_a_dry_run_of_a_real_rig_opens_no_device(rig: Run, tmp_path: Path) -> No
     ("arguments", "missing"),
     [
         (("capture", "--session", "s"), "camera, display, pump, stage"),
-        (("pump", "fill", "100"), "camera, display, pump, stage"),
+        (("pump", "fill", "100"), "pump"),
         (("stage", "home"), "stage"),
     ],
 )
