@@ -119,7 +119,7 @@ class NewEraLink:
         """Arm the dead-man timer: from now on the pump stops itself when it hears nothing for ``dead_man_s``."""
         self._set_mode(dead_man_s)
         found = self.ask("SAF")
-        if found.strip() not in (str(dead_man_s), f"{dead_man_s:03d}"):
+        if not found.isdigit() or int(found) != dead_man_s:
             raise DeviceProtocolError(
                 f"pump: a dead-man time of {dead_man_s} s asked, it says {found!r}; nothing was started. Check the model"
             )

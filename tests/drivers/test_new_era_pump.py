@@ -1,5 +1,6 @@
 """The driver of New Era pumps against an emulated pump on a pseudo terminal: what goes wrong, and what the operator reads."""
 
+import time
 from collections.abc import Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass
@@ -207,6 +208,30 @@ def test_a_pump_that_turns_when_it_is_opened_is_stopped_first(bench: Bench) -> N
         bench.world.clock.sleep_s(60.0)
         assert not pump.status().running
     assert bench.world.state().tank_ml == pytest.approx(10.0)
+
+
+def test_a_pump_that_is_slower_than_calibrated_is_stopped_when_its_time_is_over(bench: Bench) -> None:
+    with bench.driver() as pump:
+        pump.start("fill", volume_ml=300.0, max_run_s=0.3)
+        # The world's clock stands: this pump has moved next to nothing when the 0.3 s of the room are over.
+        time.sleep(0.4)
+        assert not pump.status().running
+        bench.world.clock.sleep_s(60.0)
+        assert bench.world.state().tank_ml < 3.0
+
+
+@pytest.mark.parametrize("jump_s", [86400.0, -86400.0])
+def test_a_wall_clock_that_is_put_right_in_mid_fill_changes_nothing(
+    bench: Bench, monkeypatch: pytest.MonkeyPatch, jump_s: float
+) -> None:
+    with bench.driver() as pump:
+        pump.start("fill", volume_ml=100.0, max_run_s=60.0)
+        wall_clock = time.time
+        monkeypatch.setattr(time, "time", lambda: wall_clock() + jump_s)
+        bench.watch(pump, 5.0)
+        assert pump.status().running
+        bench.watch(pump, 6.0)
+        assert bench.world.state().tank_ml == pytest.approx(100.0)
 
 
 # Faults
