@@ -50,6 +50,10 @@ class EmulatedCamera:
         """Break every connection now."""
         self._ask("break", {})
 
+    def replace(self) -> None:
+        """Put a new camera of the same model in the place of this one."""
+        self._ask("replace", {})
+
     def photos_taken(self) -> int:
         """Return how many photos the camera took, by request and by hand."""
         return self._ask("count", {})
@@ -147,8 +151,9 @@ class OwnersPhotos:
             return self._photos.recv_bytes()
 
 
-def run(body: Body, control: Connection) -> None:
-    """Serve ``body`` and answer its owner until the owner is gone."""
+def run(new_body: Callable[[], Body], control: Connection) -> None:
+    """Serve a camera and answer its owner until the owner is gone."""
+    body = new_body()
     responder = Responder(body)
     threading.Thread(target=responder.serve, name="listener", daemon=True).start()
     control.send(responder.port)
@@ -158,15 +163,18 @@ def run(body: Body, control: Connection) -> None:
         except (EOFError, OSError):
             responder.close()
             return
+        if question == "replace":
+            body = new_body()
+            responder.replace_body(body)
         control.send(_answer(body, responder, question, values))
 
 
 def _answer(body: Body, responder: Responder, question: str, values: dict[str, int]) -> int | str:
+    """Do what the owner asks; a sentence is a refusal."""
     if question == "count":
         return body.photos_taken
     if question == "break":
         responder.break_links()
-        return 0
     try:
         body.faults.update(values)
     except ValueError as error:
@@ -185,10 +193,12 @@ def main() -> None:
     parser.add_argument("control", type=int)
     parser.add_argument("photos", type=int)
     given = parser.parse_args()
-    body = BODIES[given.model](
-        OwnersPhotos(Connection(given.photos)), exposure_s=given.exposure_s, download_s=given.download_s
+    photographs = OwnersPhotos(Connection(given.photos))
+    body = BODIES[given.model]
+    run(
+        lambda: body(photographs, exposure_s=given.exposure_s, download_s=given.download_s),
+        Connection(given.control),
     )
-    run(body, Connection(given.control))
     os._exit(0)  # threads may wait for a host that never speaks again
 
 

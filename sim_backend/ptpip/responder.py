@@ -46,6 +46,12 @@ class Responder:
         self._listener.close()
         self.break_links()
 
+    def replace_body(self, body: Body) -> None:
+        """Serve another camera from now on, as after a change of cameras on the same cable."""
+        self.break_links()
+        self._body = body
+        body.tell = self._tell
+
     def break_links(self) -> None:
         """Pull the cable: close every connection without a word."""
         with self._lock:

@@ -4,7 +4,7 @@ import os
 import signal
 import time
 from collections.abc import Iterator
-from contextlib import contextmanager
+from contextlib import ExitStack, contextmanager
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -57,10 +57,25 @@ def model(request: pytest.FixtureRequest) -> Model:
     return request.param
 
 
+@pytest.fixture(scope="module")
+def bench() -> Iterator[dict[Model, tuple[EmulatedCamera, NumberedPhotos]]]:
+    """One emulator of each model, since starting a process takes longer than most tests."""
+    with ExitStack() as stack:
+        bodies: dict[Model, tuple[EmulatedCamera, NumberedPhotos]] = {}
+        for model in MODELS:
+            photos = NumberedPhotos()
+            bodies[model] = (stack.enter_context(emulate_camera(photos, model=model)), photos)
+        yield bodies
+
+
 @pytest.fixture
-def rig(model: Model) -> Iterator[Rig]:
-    with opened(model) as rig:
-        yield rig
+def rig(model: Model, bench: dict[Model, tuple[EmulatedCamera, NumberedPhotos]]) -> Iterator[Rig]:
+    """A new camera on the bench, opened by the driver."""
+    body, photos = bench[model]
+    body.replace()
+    photos.given.clear()
+    with Gphoto2Camera(body.address, kind="emulated") as camera:
+        yield Rig(camera, body, photos)
 
 
 def test_it_is_a_camera_to_the_type_checker_and_to_the_session(rig: Rig, model: Model) -> None:
