@@ -60,15 +60,6 @@ def _numbers(text: str) -> tuple[float, ...]:
         return ()
 
 
-def read_setting(line: str) -> tuple[int, float] | None:
-    """Return number and value of a line of ``$$``, or None for anything else."""
-    match = re.fullmatch(r"\$(\d+)=([0-9.]+)(?: .*)?", line)
-    try:
-        return (int(match[1]), float(match[2])) if match else None
-    except ValueError:
-        return None
-
-
 def read_code(line: str, *, word: str) -> int | None:
     """Return N of ``error:N`` or ``ALARM:N``, or None for another line."""
     match = re.search(rf"{word}:(\d+)$", line)
@@ -78,20 +69,3 @@ def read_code(line: str, *, word: str) -> int | None:
 def is_banner(line: str) -> bool:
     """Tell whether the controller has just started (GRBL, grblHAL and FluidNC all begin like this)."""
     return re.search(r"Grbl\w* \d+\.\d+", line) is not None
-
-
-def advice_for(settings: dict[int, float], *, axis: int) -> tuple[str, ...]:
-    """Return what the operator may want to change in the controller's settings; nothing here stops a capture."""
-    advice = []
-    if settings.get(1) != 255:
-        advice.append(
-            f"$1={settings.get(1, 0):g} lets the motor go slack {settings.get(1, 0):g} ms after each move, and the "
-            "carriage may drift between sets; send $1=255"
-        )
-    if not settings.get(20):
-        advice.append("$20=0: the controller does not guard its travel itself; send $20=1")
-    if not settings.get(21):
-        advice.append("$21=0: limit switches do not stop a move; send $21=1 if the stage has them")
-    if settings.get(110 + axis, 0) <= 0:
-        advice.append(f"${110 + axis} is not a speed; set the axis' fastest feed in mm a minute")
-    return tuple(advice)

@@ -6,9 +6,7 @@ alone, are refused instead of raising an alarm when they would leave the travel,
 """
 
 import logging
-import math
 from types import TracebackType
-from typing import Literal
 
 from drivers.errors import (
     DeviceAlarmError,
@@ -18,8 +16,9 @@ from drivers.errors import (
     OutOfTravelError,
     UnknownPositionError,
 )
+from drivers.grbl_axis import AxisName, GrblAxis, read_axis
 from drivers.grbl_link import GrblLink, GrblRefusal
-from drivers.grbl_protocol import CANCEL_JOG, FEED_HOLD, GrblStatus, advice_for, read_code, read_setting
+from drivers.grbl_protocol import CANCEL_JOG, FEED_HOLD, GrblStatus, read_code
 from drivers.protocols import Clock, DeviceInfo, DeviceKind
 from drivers.serial_port import SerialPort, Trace
 
@@ -27,7 +26,6 @@ from drivers.serial_port import SerialPort, Trace
 POLL_S = 0.15
 HOMING_POLL_S = 0.05
 STOP_S = 5.0
-NEEDED_SETTINGS = (13, 22, 23, 27)
 
 log = logging.getLogger(__name__)
 
@@ -68,7 +66,7 @@ class GrblStage:
         travel_mm: tuple[float, float],
         velocity_mm_per_s: float,
         clock: Clock,
-        axis: Literal["X", "Y", "Z"] = "X",
+        axis: AxisName = "X",
         kind: DeviceKind = "real",
         banner_s: float = 2.0,
         trace: Trace | None = None,
@@ -78,11 +76,10 @@ class GrblStage:
         self._travel_mm = travel_mm
         self._velocity_mm_per_s = velocity_mm_per_s
         self._clock = clock
-        self._axis = axis
-        self._axis_number = "XYZ".index(axis)
+        self._axis_name: AxisName = axis
+        self._axis: GrblAxis  # read when the port is opened
         self._kind = kind
         self._banner_s = banner_s
-        self._settings: dict[int, float] = {}
         self._version = ""
         self._homes_one_axis = False
         self._offset_mm: tuple[float, ...] | None = None
@@ -109,14 +106,7 @@ class GrblStage:
 
     def advice(self) -> tuple[str, ...]:
         """Return what could be better in the controller's settings; nothing here stops a capture."""
-        advice = advice_for(self._settings, axis=self._axis_number)
-        fastest_mm_per_s = self._settings[110 + self._axis_number] / 60
-        if self._velocity_mm_per_s > fastest_mm_per_s:
-            advice += (
-                f"velocity_mm_per_s is {self._velocity_mm_per_s:g}, the controller allows {fastest_mm_per_s:g} "
-                f"(${110 + self._axis_number}); lower the one or raise the other",
-            )
-        return advice
+        return self._axis.advice(velocity_mm_per_s=self._velocity_mm_per_s)
 
     # Moving
 
@@ -126,7 +116,7 @@ class GrblStage:
         Raises ``DeviceAlarmError`` when homing fails: GRBL says ``ok`` even then, so success is ``ok`` without an alarm
         and Idle afterwards (``doc/csv/alarm_codes_en_US.csv``, alarms 6 to 9).
         """
-        if not self._settings[22]:
+        if not self._axis.can_home:
             raise DeviceProtocolError(
                 "stage: home asked, but homing is switched off in the controller ($22=0); send $22=1 once with a "
                 "terminal program, after checking that the stage has a homing switch"
@@ -138,7 +128,7 @@ class GrblStage:
         self._link.forget()
         self._homing = True
         try:
-            self._link.send(b"$H" + (self._axis.encode() if self._homes_one_axis else b"") + b"\n")
+            self._link.send(b"$H" + (self._axis_name.encode() if self._homes_one_axis else b"") + b"\n")
             self._wait_until_homed(timeout_s)
         except BaseException:
             self._stop_quietly()
@@ -183,10 +173,10 @@ class GrblStage:
                 f"stage: {position_mm:g} mm asked, but it was not homed since its port was opened or it restarted; home "
                 "the stage first (rig stage move MM --home)"
             )
-        machine_mm = self._machine_mm(position_mm)
+        machine_mm = self._axis.machine_mm(position_mm)
         feed_mm_per_min = 60 * self._velocity_mm_per_s
         try:
-            self._begin_jog(f"$J=G53G90G21{self._axis}{machine_mm:.3f}F{feed_mm_per_min:.1f}")
+            self._begin_jog(f"$J=G53G90G21{self._axis_name}{machine_mm:.3f}F{feed_mm_per_min:.1f}")
             self._wait_until_at(position_mm, timeout_s=timeout_s)
         except BaseException:
             self._stop_quietly()
@@ -221,7 +211,7 @@ class GrblStage:
                 )
             self._clock.sleep_s(POLL_S)
         # One step of the motor, and the last digit of the report.
-        tolerance_mm = 1 / self._settings[100 + self._axis_number] + 0.001
+        tolerance_mm = self._axis.step_mm + 0.001
         found_mm = self._position_mm(status)
         if abs(found_mm - position_mm) > tolerance_mm:
             raise DeviceProtocolError(
@@ -262,27 +252,15 @@ class GrblStage:
         except DeviceError as error:
             log.warning("stage: not stopped: %s", error)
 
-    # Coordinates: machine space is negative and ends at the switch (settings.md, $23, $27 and $130)
-
-    def _rest_machine_mm(self) -> tuple[float, int]:
-        """Return the machine coordinate after homing, and the machine's sign of the direction away from the switch."""
-        pull_off_mm, reach_mm = self._settings[27], self._settings[130 + self._axis_number]
-        if int(self._settings[23]) >> self._axis_number & 1:
-            return pull_off_mm - reach_mm, 1
-        return -pull_off_mm, -1
-
-    def _machine_mm(self, position_mm: float) -> float:
-        rest_mm, away = self._rest_machine_mm()
-        return rest_mm + away * position_mm
+    # Reports
 
     def _position_mm(self, status: GrblStatus) -> float:
-        rest_mm, away = self._rest_machine_mm()
-        place_mm = status.place[self._axis_number]
+        place_mm = status.place[self._axis.number]
         if not status.is_machine:
             if self._offset_mm is None:
                 raise DeviceProtocolError("stage: the controller reports work coordinates without offset; send $10=1")
-            place_mm += self._offset_mm[self._axis_number]
-        return away * (place_mm - rest_mm)
+            place_mm += self._offset_mm[self._axis.number]
+        return self._axis.position_mm(place_mm)
 
     def _status(self) -> GrblStatus:
         status = self._link.status()
@@ -344,30 +322,13 @@ class GrblStage:
         self._link.forget()
 
     def _read_settings(self) -> None:
-        self._settings = dict(found for line in self._link.ask("$$") if (found := read_setting(line)))
-        axis = self._axis_number
-        missing = [
-            f"${number}"
-            for number in (*NEEDED_SETTINGS, 100 + axis, 110 + axis, 130 + axis)
-            if number not in self._settings
-        ]
-        if missing or not self._version.startswith("1.1"):
+        if not self._version.startswith("1.1"):
             raise DeviceProtocolError(
-                f"stage: GRBL 1.1 asked, version {self._version or 'unknown'} answers on {self._port.address}"
-                + (f" without the settings {', '.join(missing)}" if missing else "")
-                + "; check the port, or use a GRBL 1.1 firmware"
+                f"stage: GRBL 1.1 asked, version {self._version or 'unknown'} answers on {self._port.address}; check the "
+                "port, or use a GRBL 1.1 firmware"
             )
-        if self._settings[13]:
-            raise DeviceProtocolError(
-                "stage: the controller reports inches ($13=1); send $13=0 once with a terminal program"
-            )
-        low_mm, high_mm = self._travel_mm
-        reach_mm = self._settings[130 + axis] - self._settings[27]
-        if low_mm < 0 or high_mm > reach_mm or math.isnan(low_mm + high_mm):
-            raise DeviceProtocolError(
-                f"stage: travel_mm is {low_mm:g} to {high_mm:g} mm, the controller allows 0 to {reach_mm:g} mm "
-                f"(${130 + axis} less $27); correct the one that is wrong"
-            )
+        self._axis = read_axis(self._link.ask("$$"), name=self._axis_name)
+        self._axis.check(self._travel_mm)
 
     def __exit__(
         self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None

@@ -420,6 +420,14 @@ def test_a_move_that_somebody_else_holds_or_cancels_is_not_called_done() -> None
             rig.stage.move_to_mm(90.0, timeout_s=60.0)
 
 
+def test_a_stop_from_another_thread_ends_a_move_that_then_does_not_claim_to_have_arrived() -> None:
+    with homed() as rig:
+        while_moving(rig, rig.stage.stop)
+        with pytest.raises(DeviceProtocolError, match=r"the move to 90 mm ended at .* something cancelled it"):
+            rig.stage.move_to_mm(90.0, timeout_s=60.0)
+        assert not rig.world.is_moving()
+
+
 def test_a_carriage_that_stalls_is_beyond_what_grbl_can_know() -> None:
     """GRBL counts steps: an obstacle is seen by homing again, or by measuring, and by nothing else."""
     with homed() as rig:

@@ -215,6 +215,14 @@ def test_a_stage_that_was_pushed_while_it_stood_wants_to_be_homed() -> None:
         assert rig.world.stage_mm() == pytest.approx(20.0, abs=0.001)
 
 
+def test_a_stop_from_another_thread_ends_a_move_that_then_does_not_claim_to_have_arrived() -> None:
+    with homed() as rig:
+        while_moving(rig, rig.stage.stop)
+        with pytest.raises(DeviceAlarmError, match="NI: the movement was interrupted"):
+            rig.stage.move_to_mm(90.0, timeout_s=60.0)
+        assert not rig.world.is_moving()
+
+
 def test_a_move_after_one_that_was_stopped_succeeds() -> None:
     with homed() as rig:
         with pytest.raises(DeviceTimeoutError, match="the move to 90 mm was not over after 1 s; the stage was stopped"):
