@@ -18,7 +18,7 @@ from recon.photos import read_grey
 from recon.session import open_session
 
 TARGET = Path(__file__).with_name("scan.png")
-SCENE = ["hemisphere", "--size", "480", "--display-columns", "4096", "--width-px", "48", "--step-px", "8"]
+SCENE = ["hemisphere", "--size", "480", "--display-columns", "2048", "--width-px", "24", "--step-px", "4"]
 BACKGROUND = "#10151c"
 STRIPES_SHOWN = 9
 
