@@ -121,7 +121,14 @@ def test_an_interrupt_during_the_fill_stops_the_pump(tmp_path: Path, begin) -> N
 
 
 def test_an_interrupt_stops_a_pump_that_was_started_by_hand(tmp_path: Path) -> None:
-    process = start_rig("pump", "fill", "3000", "--sim", "--real-time", "--state", "bench.json", folder=tmp_path)
+    arguments = ("pump", "fill", "3000", "--sim", "--real-time", "--state", "bench.json")
+    # Imports take seconds on a busy machine, and only then does anyone listen to signals.
+    program = [sys.executable, "-c", "from rig.cli import main; print(flush=True); main()"]
+    process = subprocess.Popen(
+        [*program, *arguments], cwd=tmp_path, text=True, stdout=subprocess.PIPE, stderr=subprocess.PIPE
+    )
+    assert process.stdout is not None
+    process.stdout.readline()
     time.sleep(2.5)
     os.kill(process.pid, signal.SIGINT)
     _, err = process.communicate(timeout=PATIENCE_S)
