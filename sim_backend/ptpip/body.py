@@ -9,7 +9,7 @@ import time
 from collections.abc import Callable
 from dataclasses import dataclass, replace
 
-from sim_backend.ptpip.datasets import ASSOCIATION, BodyInfo, Property, StoredObject, array_u32, storage_info
+from sim_backend.ptpip.datasets import ASSOCIATION, JPEG, BodyInfo, Property, StoredObject, array_u32, storage_info
 from sim_backend.ptpip.faults import Faults
 
 STORAGE = 0x0001_0001
@@ -158,12 +158,14 @@ class Body:
         """Return what the sensor sees now, without taking a photo."""
         return self._photographs()
 
-    def store(self, data: bytes) -> StoredObject:
-        """Put a photo on the card."""
+    def store(self, data: bytes, *, kind: int = JPEG) -> StoredObject:
+        """Put a file on the card: a JPEG, or one of Canon's RAW files."""
         with self._lock:
             handle = self._next_handle
             self._next_handle += 1
-            stored = StoredObject(handle, PHOTO_FOLDER, f"IMG_{handle:05d}.JPG", data)
+            stored = StoredObject(
+                handle, PHOTO_FOLDER, f"IMG_{handle:05d}.{'JPG' if kind == JPEG else 'CR2'}", data, kind
+            )
             self._objects[handle] = stored
             return stored
 

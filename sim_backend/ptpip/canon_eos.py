@@ -22,7 +22,7 @@ from sim_backend.ptpip.body import (
     Reply,
     Request,
 )
-from sim_backend.ptpip.datasets import JPEG, UINT32, BodyInfo, Property, StoredObject, array_u32
+from sim_backend.ptpip.datasets import UINT32, BodyInfo, Property, StoredObject, array_u32
 
 REMOTE_RELEASE = 0x910F
 OBJECT_ADDED_RECORD, REQUEST_TRANSFER, VALUE_CHANGED, CHOICES_CHANGED, CAMERA_STATUS = (
@@ -34,9 +34,15 @@ OBJECT_ADDED_RECORD, REQUEST_TRANSFER, VALUE_CHANGED, CHOICES_CHANGED, CAMERA_ST
 )
 CAPTURE_DESTINATION, AVAILABLE_SHOTS, IMAGE_FORMAT, VIEWFINDER_OUTPUT = 0xD11C, 0xD11B, 0xD120, 0xD1B0
 TO_CARD, TO_HOST = 2, 4
-# An image format is a count of files, then four numbers each: length of this entry, type (1: JPEG), size, compression (3: fine).
+# An image format is a count of files, then for each file four numbers: the length of this entry, its type (1 JPEG, 6 RAW),
+# its size (0 large, 2 small), its compression (3 fine JPEG, 4 lossless RAW).
 LARGE_FINE_JPEG = (1, 0x10, 1, 0, 3)
 SMALL_FINE_JPEG = (1, 0x10, 1, 2, 3)
+RAW_AND_LARGE_FINE_JPEG = (2, 0x10, 6, 0, 4, 0x10, 1, 0, 3)
+FORMATS = (LARGE_FINE_JPEG, SMALL_FINE_JPEG, RAW_AND_LARGE_FINE_JPEG)
+RAW = 0xB103
+# A RAW file is a TIFF; the emulated one holds the JPEG's bytes behind the header, and no picture.
+TIFF_HEADER = b"II*\0"
 VIEWFINDER_JPEG = 1
 PROPERTIES = (
     Property(0xD101, UINT32, 0x38, (0x28, 0x30, 0x38, 0x40)),  # aperture: f/4, 5.6, 8, 11
@@ -60,7 +66,7 @@ class CanonEos40D(Body):
     def __init__(self, photographs: Photographs, *, exposure_s: float, download_s: float) -> None:
         super().__init__(photographs, exposure_s=exposure_s, download_s=download_s)
         self.properties = {prop.code: prop for prop in PROPERTIES}
-        self._image_format = LARGE_FINE_JPEG
+        self._image_format: tuple[int, ...] = LARGE_FINE_JPEG
         self._records: list[bytes] = []
         self._records_lock = threading.Lock()
         self.add_operations(
@@ -112,10 +118,10 @@ class CanonEos40D(Body):
         name = stored.name.encode("ascii") + b"\0"
         size = len(stored.data)
         if self.writes_to_card():
-            head = struct.pack("<6I", stored.handle, STORAGE, JPEG, 0, 0, size)
+            head = struct.pack("<6I", stored.handle, STORAGE, stored.format, 0, 0, size)
             self._queue(OBJECT_ADDED_RECORD, head + struct.pack("<II", PHOTO_FOLDER, stored.handle) + name)
         else:
-            self._queue(REQUEST_TRANSFER, struct.pack("<5I", stored.handle, JPEG, 0, size, 0) + name)
+            self._queue(REQUEST_TRANSFER, struct.pack("<5I", stored.handle, stored.format, 0, size, 0) + name)
 
     def _queue(self, code: int, body: bytes) -> None:
         with self._records_lock:
@@ -130,6 +136,8 @@ class CanonEos40D(Body):
         if self.faults.happens("stray_in_capture"):
             self.press_shutter_by_hand()
         data = self.take_photo()
+        if self._image_format == RAW_AND_LARGE_FINE_JPEG:
+            self.announce(self.store(TIFF_HEADER + data, kind=RAW))
         self.announce(self.store(data if self.writes_to_card() else self.cut_short(data)))
         self._queue(CAMERA_STATUS, struct.pack("<I", 0))
         return Reply(parameters=(0,))
@@ -144,8 +152,8 @@ class CanonEos40D(Body):
                 values = struct.pack(f"<{len(prop.choices)}I", *prop.choices)
                 self._queue(CHOICES_CHANGED, struct.pack("<III", prop.code, 3, len(prop.choices)) + values)
         self._report_image_format()
-        formats = struct.pack("<10I", *LARGE_FINE_JPEG, *SMALL_FINE_JPEG)
-        self._queue(CHOICES_CHANGED, struct.pack("<III", IMAGE_FORMAT, 3, 2) + formats)
+        formats = b"".join(struct.pack(f"<{len(known)}I", *known) for known in FORMATS)
+        self._queue(CHOICES_CHANGED, struct.pack("<III", IMAGE_FORMAT, 3, len(FORMATS)) + formats)
         return Reply()
 
     def _report(self, prop: Property) -> None:
@@ -153,7 +161,7 @@ class CanonEos40D(Body):
         self._queue(VALUE_CHANGED, struct.pack("<II", prop.code, 0 if none_left else prop.value))
 
     def _report_image_format(self) -> None:
-        self._queue(VALUE_CHANGED, struct.pack("<6I", IMAGE_FORMAT, *self._image_format))
+        self._queue(VALUE_CHANGED, struct.pack(f"<{1 + len(self._image_format)}I", IMAGE_FORMAT, *self._image_format))
 
     def _get_event(self, _request: Request) -> Reply:
         with self._records_lock:
@@ -178,7 +186,7 @@ class CanonEos40D(Body):
 
     def _set_image_format(self, data: bytes) -> Reply:
         wanted = struct.unpack(f"<{len(data) // 4}I", data)
-        for known in (LARGE_FINE_JPEG, SMALL_FINE_JPEG):
+        for known in FORMATS:
             if wanted[: len(known)] == known:
                 self._image_format = known
                 self._report_image_format()

@@ -171,6 +171,19 @@ def test_photos_of_an_eos_go_straight_to_the_host_whatever_other_programs_have_c
 
 
 @pytest.mark.parametrize("model", ["canon-eos-40d"])
+def test_raw_and_jpeg_come_as_a_pair(rig: Rig) -> None:
+    rig.camera.apply_settings({"imageformat": "RAW + L"})
+    for _ in range(3):
+        rig.camera.expose(timeout_s=20.0)
+        raw, jpeg = rig.camera.collect(timeout_s=20.0)
+        assert (raw.suffix, jpeg.suffix) == (".cr2", ".jpg")
+        assert jpeg.data == rig.photos.given[-1]
+        assert raw.data.endswith(jpeg.data)  # so the emulated body writes it
+    assert len(rig.photos.given) == 3
+    assert rig.camera.counts.strays == 0
+
+
+@pytest.mark.parametrize("model", ["canon-eos-40d"])
 def test_live_view_gives_a_picture_without_taking_a_photo(rig: Rig) -> None:
     assert simplejpeg.decode_jpeg(rig.camera.live_view(), colorspace="GRAY").shape == (240, 320, 1)
     assert rig.body.photos_taken() == 0
