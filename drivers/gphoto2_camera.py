@@ -32,6 +32,8 @@ log = logging.getLogger(__name__)
 PREVIEW_S = 10.0
 # One attempt at a photo: the longest exposure of most bodies is 30 s, but a sweep's are a second at most.
 ATTEMPT_S = 20.0
+# An emulated camera that somebody starts by hand says so here, and is never recorded as a real one.
+EMULATED_SERIAL = "EMULATED"
 CameraFile = tuple[str, bytes, int | None]
 
 
@@ -96,7 +98,9 @@ class Gphoto2Camera:
         self._link.opened()
         who = self._link.identity
         version = f"{who.get('deviceversion', '')}, libgphoto2 {who['library']}".removeprefix(", ")
-        return DeviceInfo(self._kind, who.get("cameramodel") or who["model"], self._link.address, version)
+        pretends = who.get("serialnumber", "").startswith(EMULATED_SERIAL)
+        kind = "emulated" if pretends and self._kind == "real" else self._kind
+        return DeviceInfo(kind, who.get("cameramodel") or who["model"], self._link.address, version)
 
     # Settings
 

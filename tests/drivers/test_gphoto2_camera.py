@@ -87,6 +87,11 @@ def test_it_is_a_camera_to_the_type_checker_and_to_the_session(rig: Rig, model: 
     assert "libgphoto2 2.5" in info.version
 
 
+def test_an_emulated_camera_is_never_taken_for_a_real_one(rig: Rig) -> None:
+    with Gphoto2Camera(rig.body.address) as taken_for_real:
+        assert taken_for_real.info().kind == "emulated"
+
+
 def test_two_hundred_photos_arrive_byte_for_byte_and_in_order(rig: Rig) -> None:
     for _ in range(200):
         assert rig.photograph() == rig.photos.given[-1]

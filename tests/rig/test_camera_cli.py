@@ -71,7 +71,7 @@ def test_a_photo_comes_from_the_configured_camera_with_its_settings(
     assert simplejpeg.decode_jpeg_header((tmp_path / "photo.jpg").read_bytes())[:2] == (432, 648)
     code, out, err = rig("camera", "settings", "iso=200")
     assert (code, err) == (0, "")
-    assert out.startswith("Canon EOS 40D (real, ")
+    assert out.startswith("Canon EOS 40D (emulated, ")
     assert 'shutterspeed = "1/8"\n' in out
     assert 'iso = "200"\n' in out
     code, out, err = rig("camera", "preview", "live.jpg")
