@@ -49,6 +49,10 @@ class TagReading:
     contrast: float = 0.0
     correlation: float = 0.0
 
+    def moved(self, x_px: int, y_px: int) -> "TagReading":
+        """Return the reading of a part of a photo as one of the whole, given the part's first column and row."""
+        return replace(self, corners_px=self.corners_px + np.array([x_px, y_px], dtype=np.float64))
+
 
 @dataclass(frozen=True, slots=True)
 class _Fit:

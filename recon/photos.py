@@ -26,15 +26,19 @@ def read_grey(path: Path, *, rows: int, cols: int, primary: str = "white", buffe
         raise SessionError(f"{path}: the photo is missing; restore it or take it again") from None
     except OSError as error:
         raise SessionError(f"{path}: the photo cannot be read ({error.strerror})") from None
-    if data[:2] == b"\xff\xd8":
-        counts = _decode_jpeg(data, path, primary=primary, buffer=buffer)
-    else:
-        counts = _decode_other(data, path, primary=primary)
+    counts = decode_grey(data, path, primary=primary, buffer=buffer)
     if counts.shape != (rows, cols):
         raise SessionError(
             f"{path}: the photo is {counts.shape[1]} x {counts.shape[0]} px, the manifest says {cols} x {rows}"
         )
     return counts
+
+
+def decode_grey(data: bytes, path: Path, *, primary: str = "white", buffer: np.ndarray | None = None) -> Counts:
+    """Return the counts of a photo that is in memory; ``path`` names it in errors. Else as :func:`read_grey`."""
+    if data[:2] == b"\xff\xd8":
+        return _decode_jpeg(data, path, primary=primary, buffer=buffer)
+    return _decode_other(data, path, primary=primary)
 
 
 def _decode_jpeg(data: bytes, path: Path, *, primary: str, buffer: np.ndarray | None) -> Counts:

@@ -18,6 +18,7 @@ from rig.capture import capture as run_capture
 from rig.capture import whole_photos
 from rig.config import DEFAULT_FILE
 from rig.devices import open_devices
+from rig.display_cli import app as display_app
 from rig.errors import CaptureStopped, ConfigError, RigError
 from rig.options import choose_rig, rig_of_session
 from rig.plan import plan_capture, step_text
@@ -39,6 +40,7 @@ app = typer.Typer(
 app.add_typer(stage_app, name="stage")
 app.add_typer(pump_app, name="pump")
 app.add_typer(camera_app, name="camera")
+app.add_typer(display_app, name="display")
 console = Console(soft_wrap=True, highlight=False)
 
 

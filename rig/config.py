@@ -13,6 +13,7 @@ from typing import Annotated, Literal, Self
 
 from pydantic import Field, ValidationError, model_validator
 
+from recon.frame_tag import TagPlace
 from recon.manifest import (
     Axis,
     CameraBody,
@@ -49,6 +50,24 @@ class SweptArea(Part):
     last_column_px: NotNegative
     first_row_px: NotNegative
     last_row_px: NotNegative
+
+
+class FrameTag(Part):
+    """The frame's number on the display: device pixel of its top-left corner, side of one of its 12 × 12 cells.
+
+    ``seen_px`` is the part of the photos (first column, first row, last column, last row) in which the camera sees it,
+    directly and in all four sets; without it the tag is shown and not read.
+    """
+
+    column: Annotated[int, Field(ge=0)]
+    row: Annotated[int, Field(ge=0)]
+    cell_px: Annotated[int, Field(gt=0)]
+    seen_px: tuple[NotNegative, NotNegative, NotNegative, NotNegative] | None = None
+
+    @property
+    def place(self) -> TagPlace:
+        """Where the tag is on the display."""
+        return TagPlace(column=self.column, row=self.row, cell_px=self.cell_px)
 
 
 class Capture(Part):
@@ -178,6 +197,7 @@ class RigConfig(Part):
     pump: PumpDriver = PumpDriver()
     stage: StageTravel
     timing: Timing
+    frame_tag: FrameTag | None = None
     devices: DeviceAddresses = DeviceAddresses()
 
     @model_validator(mode="after")
@@ -193,6 +213,34 @@ class RigConfig(Part):
     def _sweep_stays_on_the_panel(self) -> Self:
         for axis in ("x", "y"):
             self.pattern(axis)
+        return self
+
+    @model_validator(mode="after")
+    def _tag_stays_clear_of_the_stripe(self) -> Self:
+        tag = self.frame_tag
+        if tag is None:
+            return self
+        side_px = tag.place.side_px
+        if tag.column + side_px > self.display.columns or tag.row + side_px > self.display.rows:
+            raise ValueError(
+                f"the frame tag takes {side_px} × {side_px} device pixels from column {tag.column}, row {tag.row}; the "
+                f"display has {self.display.columns} × {self.display.rows}"
+            )
+        swept, reach_px = self.capture.swept, self.capture.stripe.width_px / 2
+        columns = (swept.first_column_px - reach_px, swept.last_column_px + reach_px)
+        rows = (swept.first_row_px - reach_px, swept.last_row_px + reach_px)
+        if tag.place.covers(columns=columns, rows=rows):
+            raise ValueError(
+                f"the frame tag (columns {tag.column} to {tag.column + side_px - 1}, rows {tag.row} to "
+                f"{tag.row + side_px - 1}) lies in the swept area with its stripes; move it, or sweep less"
+            )
+        if tag.seen_px is not None:
+            left, top, right, bottom = tag.seen_px
+            if not (left < right <= self.camera.columns - 1 and top < bottom <= self.camera.rows - 1):
+                raise ValueError(
+                    f"frame_tag.seen_px is {list(tag.seen_px)}; give first column, first row, last column and last row "
+                    f"within photos of {self.camera.columns} × {self.camera.rows}"
+                )
         return self
 
     def device_px(self, axis: Axis) -> int:

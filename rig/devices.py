@@ -4,6 +4,8 @@ Nothing here falls back to a simulated device: simulated devices come when they 
 configured, and anything else is an error.
 """
 
+import os
+import sys
 from collections.abc import Iterator
 from contextlib import ExitStack, contextmanager
 from dataclasses import dataclass
@@ -15,6 +17,8 @@ from drivers.gphoto2_camera import Gphoto2Camera
 from drivers.grbl_stage import GrblStage
 from drivers.new_era_pump import NewEraPump
 from drivers.protocols import Camera, Clock, Device, Display, Frame, LevelSensor, Pump, Stage
+from drivers.stripe_player import StripePlayer
+from drivers.stripe_player.address import parse_address
 from drivers.tank_board import TankBoard
 from drivers.zaber_stage import ZaberStage
 from recon.manifest import DeviceRecord
@@ -34,6 +38,8 @@ from sim_backend.world import TankSize, World, WorldState, load_state, save_stat
 # How the simulated photo's time divides; the rest of a photo is its download.
 EXPOSURE_FRACTION = 0.25
 DISPLAY_LATENCY_S = 0.03
+# How long a person may take to open the display's page.
+PAGE_TIMEOUT_S = 300.0
 
 
 @dataclass(frozen=True, slots=True)
@@ -112,7 +118,7 @@ def open_devices(config: RigConfig, *, simulation: Simulation | None) -> Iterato
 
 @contextmanager
 def open_real_devices(config: RigConfig) -> Iterator[Devices]:
-    """Refuse what is not configured, in one sentence."""
+    """Open the devices that ``config`` names; what is not configured is refused in one sentence before any is touched."""
     wanted = {"camera", "display", "stage"} | ({"pump"} if config.tank and config.tank.has_pump else set())
     addresses = config.devices.model_dump()
     missing = sorted(name for name in wanted if not addresses[name])
@@ -121,9 +127,25 @@ def open_real_devices(config: RigConfig) -> Iterator[Devices]:
             f"no {', '.join(missing)} configured: name driver and address in the section [devices] of the "
             "configuration, or rehearse with --sim"
         )
-    name = min(wanted)
-    raise ConfigError(f"devices.{name}: no driver answers to {addresses[name]!r}; rehearse with --sim")
-    yield  # makes this a generator, as a context manager must be
+    clock = RealClock()
+    pump, level_sensor = real_pump(config) if "pump" in wanted else (None, None)
+    devices = Devices(
+        camera=real_camera(config),
+        display=real_display(config),
+        stage=real_stage(config, clock=clock),
+        pump=pump,
+        level_sensor=level_sensor,
+        operator=ConsoleOperator(),
+        clock=clock,
+    )
+    with ExitStack() as stack:
+        # What can flood or move is opened last and left first. A level sensor on the pump's board is opened with it.
+        stack.enter_context(devices.display)
+        devices.display.screen()  # waits until somebody has opened the page
+        for device in (devices.camera, devices.stage, devices.pump):
+            if device is not None:
+                stack.enter_context(device)
+        yield devices
 
 
 @contextmanager
@@ -252,6 +274,45 @@ def real_camera(config: RigConfig) -> Camera:
         f"devices.camera: no driver answers to {config.devices.camera!r}; write gphoto2:usb: or gphoto2:ptpip:HOST, "
         "or rehearse with --sim"
     )
+
+
+@contextmanager
+def open_display(config: RigConfig, *, simulation: Simulation | None) -> Iterator[Display]:
+    """Open the display alone: nothing else need be configured or plugged in. Errors as for :func:`open_devices`."""
+    if simulation is not None:
+        with open_devices(config, simulation=simulation) as devices:
+            yield devices.display
+        return
+    with real_display(config) as display:
+        yield display
+
+
+def real_display(config: RigConfig) -> Display:
+    """Return the display that ``config`` names, not opened yet; raises ``ConfigError`` where no driver answers to it."""
+    if not config.devices.display:
+        raise ConfigError(
+            "no display configured: name driver and address in the section [devices] of the configuration "
+            '(display = "browser:"), or rehearse with --sim'
+        )
+    driver, _, address = config.devices.display.partition(":")
+    if driver == "browser":
+        return StripePlayer(
+            parse_address(address),
+            primary=config.display.primary,
+            state_folder=state_folder() / "display",
+            announce=lambda text: print(text, file=sys.stderr, flush=True),  # noqa: T201  (a question to the operator)
+            page_timeout_s=PAGE_TIMEOUT_S,
+        )
+    raise ConfigError(
+        f"devices.display: no driver answers to {config.devices.display!r}; write browser: or browser:HOST:PORT, or "
+        "rehearse with --sim"
+    )
+
+
+def state_folder() -> Path:
+    """Return where this program keeps what outlives a command, after the XDG base directory specification."""
+    base = os.environ.get("XDG_STATE_HOME", "")
+    return (Path(base) if base else Path.home() / ".local" / "state") / "refractive-scan"
 
 
 @contextmanager

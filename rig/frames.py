@@ -2,7 +2,8 @@
 
 import numpy as np
 
-from drivers.protocols import Frame
+from drivers.protocols import Frame, Patch
+from recon.frame_tag import LARGEST_NUMBER, tag_levels
 from recon.manifest import Axis
 from recon.patterns import stripe_frame
 from rig.config import RigConfig
@@ -12,10 +13,24 @@ LEVELS = {"white": 255, "black": 0}
 
 
 def frame_of(photo: TakePhoto, config: RigConfig) -> Frame:
-    """Return the frame of ``photo``: one stripe of its sweep, or the whole display lit or dark."""
+    """Return the frame of ``photo``: one stripe of its sweep, or the whole display lit or dark, with its tag if any."""
+    patches = tag_patches(photo.frame_id, config)
     level = LEVELS.get(photo.sweep)
     if level is not None:
-        return Frame(axis="x", levels=np.full(config.display.columns, level, dtype=np.uint8))
+        return Frame(axis="x", levels=np.full(config.display.columns, level, dtype=np.uint8), patches=patches)
     axis: Axis = "x" if photo.sweep == "x" else "y"
     pattern_frame = stripe_frame(config.pattern(axis), axis, photo.index, device_px=config.device_px(axis))
-    return Frame(axis=axis, levels=pattern_frame.levels)
+    return Frame(axis=axis, levels=pattern_frame.levels, patches=patches)
+
+
+def tag_number(frame_id: int) -> int:
+    """Return the number that a frame's tag shows: numbers begin again where the tag's bits are used up."""
+    return frame_id % (LARGEST_NUMBER + 1)
+
+
+def tag_patches(frame_id: int, config: RigConfig) -> tuple[Patch, ...]:
+    """Return the tag of a frame; it is drawn over the stripe, so that no stripe enters its square."""
+    tag = config.frame_tag
+    if tag is None:
+        return ()
+    return (Patch(column=tag.column, row=tag.row, levels=tag_levels(tag_number(frame_id), cell_px=tag.cell_px)),)

@@ -32,6 +32,7 @@ from rig.plan import (
 )
 from rig.progress import CaptureProgress
 from rig.stop_request import StopRequest
+from rig.tag_check import TagCheck
 
 SHOW_TIMEOUT_S = 10.0
 # Libgphoto2 itself gives up on a photo after 90 s; ours is the shorter leash.
@@ -67,6 +68,7 @@ class Sequencer:
         self._shown: int | None = None
         self._shown_at_s = -math.inf
         self._wanted_mm: float | None = None
+        self._tag_check = TagCheck(config)
 
     def run(self, plan: Sequence[Step]) -> None:
         """Run every step; however it ends, pump and stage stand still afterwards and the journal says so."""
@@ -245,7 +247,11 @@ class Sequencer:
             raise DeviceError(
                 f"camera: no file for photo {photo.set_name} {photo.sweep} {photo.index}; resume to retry"
             )
+        frame_tag = self._tag_check.check(photo, files)
         stage_mm = self._check_position_mm()
+        device = {"frame_id": photo.frame_id, "stage_mm": stage_mm}
+        if frame_tag is not None:
+            device["frame_tag"] = frame_tag
         # Of a RAW and its JPEG, the JPEG comes last: the last line of the journal is the photo that is read.
         for file in sorted(files, key=lambda file: file.suffix.lower() in (".jpg", ".jpeg")):
             self._writer.save_photo(
@@ -255,5 +261,5 @@ class Sequencer:
                 index=photo.index,
                 suffix=file.suffix.lower(),
                 place_px=photo.place_px,
-                device={"frame_id": photo.frame_id, "stage_mm": stage_mm, "camera_file": file.name},
+                device={**device, "camera_file": file.name},
             )

@@ -8,8 +8,6 @@ import socket
 from dataclasses import dataclass
 from pathlib import Path
 
-import segno
-
 from drivers.errors import DeviceNotFoundError, DeviceProtocolError
 
 DEFAULT_PORT = 8443
@@ -116,6 +114,10 @@ def keep_token(folder: Path) -> str:
 
 def qr_code(url: str) -> str:
     """Return ``url`` as a QR code drawn with the letters of a terminal."""
+    try:
+        import segno  # here: only a rig with a page needs it
+    except ImportError:
+        return "(install the package segno to see this address as a QR code: pip install segno)"
     drawn = io.StringIO()
     segno.make(url, error="m").terminal(drawn, compact=True)
     return drawn.getvalue()

@@ -14,7 +14,6 @@ from drivers.protocols import DeviceInfo, Frame, ScreenInfo
 from drivers.stripe_player.address import PageAddress, keep_token, qr_code
 from drivers.stripe_player.certificate import certificate_der, server_context
 from drivers.stripe_player.mailbox import Mailbox
-from drivers.stripe_player.server import PageServer
 from drivers.stripe_player.wire import PageReport, check_frame, check_page
 
 # No screen refreshes faster, and the page acknowledges three refreshes after drawing: no shorter deadline can be met.
@@ -56,6 +55,12 @@ class StripePlayer:
         page_timeout_s: float,
         settle_s: float = 0.0,
     ) -> None:
+        try:
+            from drivers.stripe_player.server import PageServer  # here: aiohttp is for a rig with a page only
+        except ImportError as error:
+            raise DeviceNotFoundError(
+                "display: the Python package aiohttp, which serves the page, is not installed; pip install aiohttp"
+            ) from error
         self._mailbox = Mailbox()
         self._token = keep_token(state_folder)
         tls = server_context(state_folder, address.host) if address.secure else None
