@@ -16,6 +16,9 @@ from recon.normals import normal_sd_rad, normals_from_angles, normals_from_paths
 from recon.patterns import screen_mm
 from recon.status import PixelStatus
 
+# The scatter of the parabola's vertex for a sharp stripe, in steps: its bias changes from pixel to pixel.
+PARABOLA_SD_PX = 0.17
+
 SweepResults = Mapping[tuple[str, str], SweepResult]
 
 
@@ -121,6 +124,7 @@ def cross_paths(
         paths["air"],
         normal,
         manifest,
+        direction_sd_rad=_direction_sd(paths["air"], manifest, method=method),
         pixels=pixels,
         shape=(manifest.camera.rows, manifest.camera.columns),
     )
@@ -149,6 +153,13 @@ def _paths(
         cover_glass=manifest.display.cover_glass,
         n_medium=n_medium,
     )
+
+
+def _direction_sd(air: LightPaths, manifest: Manifest, *, method: Method) -> Float64[np.ndarray, " pixels"]:
+    """Return how well each air path's direction is known; for the paper's method, from its usual scatter."""
+    if method == "paper":
+        return np.sqrt(2) * PARABOLA_SD_PX * manifest.display.pitch_mm / air.baseline_mm
+    return np.sqrt(np.trace(air.direction_covariance(), axis1=1, axis2=2))
 
 
 def _tests(points: EntryPoints, manifest: Manifest, *, method: Method, limits: Limits) -> UInt8[np.ndarray, " pixels"]:

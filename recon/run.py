@@ -85,6 +85,8 @@ def run_session(session_folder: Path, out: Path, settings: Settings) -> Metrics:
             manifest=session.manifest,
             mesh=None if mesh is None else (mesh.vertices_mm, mesh.faces, mesh.normal),
         )
+    # A copy of the manifest makes the folder whole: it can be moved, read and evaluated without the session.
+    (out / MANIFEST_NAME).write_bytes((session.folder / MANIFEST_NAME).read_bytes())
     metrics = metrics.model_copy(update={"stages": timer.stages()})
     save_metrics(metrics, out / METRICS_NAME)
     return metrics

@@ -15,6 +15,7 @@ from recon.evaluation.plane import THRESHOLD_MM
 from recon.evaluation.published import CITATION, Primitive
 from recon.evaluation.table import KnownSize, Row
 from recon.maps import MAPS_NAME
+from recon.report.rewrite import rewrite_report
 
 
 def register(app: typer.Typer) -> None:
@@ -58,6 +59,19 @@ def evaluate_command(
         )
         save_evaluation(result, run_folder / EVALUATION_NAME)
         console.print(evaluation_table(result))
+        if rewrite_report(run_folder, [_report_row(row, result.length_unit) for row in result.rows]) is not None:
+            console.print(f"The report shows them too: {run_folder / 'report.html'}", soft_wrap=True)
+
+
+def _report_row(row: Row, length_unit: str) -> dict[str, object]:
+    published = "" if row.published is None else _range(*row.published)
+    return {
+        "of": row.of,
+        "quantity": row.quantity,
+        "ours": figure(row.ours),
+        "published": published,
+        "unit": length_unit if row.unit == "mm" else row.unit,
+    }
 
 
 def run_folders(folder: Path) -> list[Path]:
