@@ -29,6 +29,10 @@ def verdict(funnel: Funnel, maps: Maps, *, gap_ratio: float | None, photos: tupl
         )
     reasons = list(_losses(maps, funnel, share=LOST_SHARE))
     action = "Use the points; look at the sd map before you quote one of them."
+    if gap_ratio is None:
+        action = (
+            "Use the points; this method states no uncertainty, so look at the gap map before you quote one of them."
+        )
     matched = funnel.matched - int(np.count_nonzero(maps.status == PixelStatus.BESIDE_OBJECT))
     if funnel.entry_points < CHECK_SHARE * max(matched, 1):
         reasons.append(

@@ -11,7 +11,7 @@ from recon.manifest import StripePattern
 from recon.noise import NoiseModel, dark_variance, noise_from_residuals
 from recon.patterns import stripe_profile
 from recon.stripe_fit import fit_stripe
-from recon.stripe_model import footprint_average
+from recon.stripe_model import expected_curve, footprint_average
 from recon.stripe_peak import NO_PEAK, PeakTracker, PeakWindows, parabola_offset
 
 COSINE = StripePattern(profile="raised_cosine", width_px=6.0, first_px=0.0, step_px=1.0, count=64)
@@ -182,3 +182,46 @@ def test_the_photon_transfer_curve_is_found_from_residuals() -> None:
     residual = rng.normal(0, np.sqrt(0.4 + 0.05 * signal + (0.01 * signal) ** 2))
     noise = noise_from_residuals(signal, residual, read_variance=0.4, freedom_share=1.0)
     assert noise.variance(np.array([20.0, 100.0, 200.0])) == pytest.approx([1.44, 6.4, 14.4], rel=0.05)
+
+
+@pytest.mark.parametrize("pattern", [COSINE, HARD])
+@pytest.mark.parametrize("centre", [30.0, 30.21, 30.5, 29.62])
+def test_on_a_real_display_the_curve_steps_with_the_device_pixels(pattern: StripePattern, centre: float) -> None:
+    """Brute force: sample the footprint finely; each sample sees the level of the device pixel that it falls on."""
+    widths = (0.8, 0.5)
+    u = (np.arange(400) + 0.5) / 400 - 0.5
+    seen = np.rint(centre + (u[:, None] * widths[0] + u[None, :] * widths[1]).ravel())
+    stripes = np.arange(24.0, 37.0)
+    brute = np.array(
+        [
+            np.clip(1 - np.abs(seen - s), 0, 1).mean()
+            if pattern is HARD
+            else np.where(np.abs(seen - s) < 3, 0.5 * (1 + np.cos(2 * np.pi * (seen - s) / 6)), 0).mean()
+            for s in stripes
+        ]
+    )
+    arguments = {"pattern": pattern, "continuous": False}
+    value, slope = expected_curve(stripes[None, :], np.array([centre]), np.array([widths]), **arguments)
+    np.testing.assert_allclose(value[0], brute, atol=3e-3)
+    above, _ = expected_curve(stripes[None, :], np.array([centre + 1e-4]), np.array([widths]), **arguments)
+    np.testing.assert_allclose(slope, (above - value) / 1e-4, atol=5e-3)
+
+
+def test_a_place_inside_one_device_pixel_is_known_to_that_pixel_and_no_better() -> None:
+    rng = np.random.default_rng(7)
+    centre = rng.uniform(29.8, 30.2, 300)
+    windows, black = curves(np.full(300, 30.0), COSINE, rng, footprint_px=(0.01, 0.01))
+    fit = fit_stripe(
+        windows,
+        np.arange(300, dtype=np.int64),
+        np.full(300, 30.0),
+        np.full((300, 2), 0.2),
+        black=black,
+        pattern=COSINE,
+        noise=NoiseModel(256.0),
+        clipped=65534,
+        continuous=False,
+    )
+    # A footprint 0.4 px from end to end fits into the pixel at any place within ±0.3 px: sd 0.6/sqrt(12) = 0.17.
+    assert np.median(fit.sd_px) == pytest.approx(0.17, abs=0.04)
+    assert np.sqrt((((fit.place_px - centre) / fit.sd_px) ** 2).mean()) < 1.2
