@@ -60,3 +60,13 @@ def pytest_runtest_makereport(item: pytest.Item):
         report.outcome = "failed"
         report.longrepr = f"{item.nodeid}: skipped under CI=true: {report.longrepr}"
     return report
+
+
+@pytest.hookimpl(wrapper=True)
+def pytest_make_collect_report():
+    """Under ``CI=true`` a module that skips as a whole, for want of a library, fails as well."""
+    report = yield
+    if EVERYTHING_IS_INSTALLED and report.skipped:
+        report.outcome = "failed"
+        report.longrepr = f"{report.nodeid}: skipped under CI=true: {report.longrepr}"
+    return report
