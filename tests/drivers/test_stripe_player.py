@@ -93,9 +93,16 @@ def frames_to_try(columns: int, rows: int) -> list[tuple[Frame, np.ndarray]]:
 
 
 @pytest.mark.parametrize(
-    ("primary", "channels"), [("white", (0, 1, 2)), ("red", (0,)), ("green", (1,)), ("blue", (2,))]
+    ("primary", "channels", "ratio"),
+    [
+        ("white", (0, 1, 2), 1.0),
+        ("green", (1,), 1.0),
+        ("white", (0, 1, 2), 2.0),
+        ("green", (1,), 2.0),
+        ("red", (0,), 1.5),
+        ("blue", (2,), 1.5),
+    ],
 )
-@pytest.mark.parametrize("ratio", [1.0, 1.5, 2.0])
 def test_every_device_pixel_is_as_commanded(
     browser: Browser, tmp_path: Path, primary: str, channels: tuple[int, ...], ratio: float
 ) -> None:
@@ -110,18 +117,17 @@ def test_every_device_pixel_is_as_commanded(
             np.testing.assert_array_equal(page.picture(), wanted)
 
 
-@pytest.mark.parametrize("primary", ["white", "green"])
-def test_a_whole_tablet_at_its_own_ratio_of_two_is_exact(tmp_path: Path, primary: str) -> None:
+def test_a_whole_tablet_at_its_own_ratio_of_two_is_exact(tmp_path: Path) -> None:
     with (
         open_browser("--force-device-scale-factor=2") as browser,
-        playing(browser, tmp_path, columns=2048, rows=1536, ratio=0.0, primary=primary) as (device, page),
+        playing(browser, tmp_path, columns=2048, rows=1536, ratio=0.0, primary="green") as (device, page),
     ):
         assert (device.screen().columns, device.screen().rows, device.screen().pixel_ratio) == (2048, 1536, 2.0)
         for number, (frame, levels) in enumerate(frames_to_try(2048, 1536)):
             device.show(frame, frame_id=number, timeout_s=TIMEOUT_S)
             picture = page.picture()
             np.testing.assert_array_equal(picture[..., 1], levels)
-            np.testing.assert_array_equal(picture[..., 0], levels if primary == "white" else 0)
+            assert not picture[..., [0, 2]].any()
 
 
 def test_leaving_makes_the_glass_dark(browser: Browser, tmp_path: Path) -> None:
@@ -132,14 +138,14 @@ def test_leaving_makes_the_glass_dark(browser: Browser, tmp_path: Path) -> None:
         assert not page.picture().any()
 
 
-def test_a_hundred_frames_are_each_on_the_glass_when_show_returns(browser: Browser, tmp_path: Path) -> None:
+def test_forty_frames_are_each_on_the_glass_when_show_returns(browser: Browser, tmp_path: Path) -> None:
     with playing(browser, tmp_path) as (device, page):
         begin_s = time.monotonic()
-        for number in range(100):
+        for number in range(40):
             device.show(Frame(axis="x", levels=stripe(number)), frame_id=number, timeout_s=TIMEOUT_S)
             assert page.ask("canvas.dataset.frame") == str(number)
         # Three refreshes a frame after the one that draws it: faster than 60 Hz allows would be a lie.
-        assert time.monotonic() - begin_s > 100 * 3 / 60 * 0.9
+        assert time.monotonic() - begin_s > 40 * 3 / 60 * 0.9
 
 
 def test_a_page_that_lost_its_line_comes_back_and_gets_the_frame_of_now(browser: Browser, tmp_path: Path) -> None:
@@ -304,7 +310,10 @@ def test_nobody_opening_the_page_is_said_after_the_address_was_announced(tmp_pat
         assert "▄" in text or "█" in text
 
 
-def test_the_page_over_tls_is_a_secure_context(browser: Browser, tmp_path: Path) -> None:
+def test_the_page_over_tls_is_a_secure_context(
+    browser: Browser, tmp_path: Path, require_program: Callable[[str, str], str]
+) -> None:
+    require_program("openssl", "openssl")
     with player(tmp_path, "https://127.0.0.1:0") as device, browser.page(device.url(), columns=COLUMNS, rows=ROWS):
         device.screen()
         report = device.report()
