@@ -47,7 +47,8 @@ format: .venv/full.stamp  ## put the sources into the project's format
 	$(BIN)/python -m ruff check --fix .
 
 bench: .venv/full.stamp  ## measure time and peak memory
-	$(BIN)/python -m pytest tests/bench --no-header -s
+	$(BIN)/python -m tests.bench.photograph_rate --scene semi_ellipsoid
+	$(BIN)/python -m tests.bench.decode_memory
 
 docs: .venv/full.stamp  ## build the documentation site into docs/_build/html; a warning is an error
 	$(BIN)/python -m sphinx -W --keep-going -q -b html docs docs/_build/html

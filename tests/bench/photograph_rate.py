@@ -66,7 +66,7 @@ def main() -> None:
     given = parser.parse_args()
     scene = load_scene(given.scene).resized(camera_columns=given.camera_columns, display_columns=given.display_columns)
     result = measure(scene, photos=given.photos, threads=given.threads)
-    print(json.dumps({**vars(given), **result}, indent=2))  # noqa: T201 - the program's result
+    print(json.dumps({**vars(given), **result}, indent=2))
 
 
 if __name__ == "__main__":
