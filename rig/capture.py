@@ -93,10 +93,17 @@ def capture(
             raise CaptureStopped(
                 f"stopped with {have} of {needed} photos; pump and stage stand still"
                 + (f", the tank holds {sequencer.tank_ml:.0f} ml" if config.tank else "")
-                + f"; go on with `rig capture --resume --session {folder}{'' if scene is None else ' --sim'}`"
+                + f"; go on with `rig capture --resume --session {folder}{_rehearsal(devices, scene)}`"
             ) from None
         writer.journal.append("capture_finished", photos=needed)
         return CaptureResult(sequencer.photos_taken, needed, needed)
+
+
+def _rehearsal(devices: Devices, scene: Scene | None) -> str:
+    """Return the option of the command that opened ``devices``."""
+    if scene is None:
+        return ""
+    return " --sim-wire" if devices.camera.info().kind == "emulated" else " --sim"
 
 
 def tank_ml_now(config: RigConfig, devices: Devices | TankDevices) -> float:

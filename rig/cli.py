@@ -48,6 +48,7 @@ console = Console(soft_wrap=True, highlight=False)
 def capture(
     session: Annotated[Path, typer.Option("--session", metavar="DIR", help="Folder of the session to write.")],
     sim: options.SimOption = False,
+    sim_wire: options.SimWireOption = False,
     config: options.ConfigOption = None,
     scene: options.SceneOption = None,
     resume: Annotated[bool, typer.Option("--resume", help="Go on with a session that was interrupted.")] = False,
@@ -67,6 +68,9 @@ def capture(
     Ctrl-C stops after the current photo, a second Ctrl-C at once; both leave the pump off and a session that
     --resume completes.
     """
+    if sim and sim_wire:
+        raise ConfigError("--sim and --sim-wire are two ways to rehearse; leave out one of them")
+    sim = sim or sim_wire
     changes = SceneOptions(profile, width_px, step_px, order, size, display_columns, seed)
     if resume:
         if config is not None or scene is not None or changes != SceneOptions():
@@ -81,7 +85,7 @@ def capture(
         for step in plan_capture(rig.config, done=done):
             console.print(step_text(step), markup=False)
         return
-    simulation = rig.simulation(real_time=real_time, state_file=state)
+    simulation = rig.simulation(real_time=real_time, state_file=state, wire=sim_wire)
     with open_devices(rig.config, simulation=simulation) as devices:
         result = run_capture(rig.config, session, devices=devices, scene=rig.scene, resume=resume, console=console)
     console.print(f"{session}: {result.photos_done} photos, {result.photos_taken} of them taken now", markup=False)

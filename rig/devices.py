@@ -10,19 +10,21 @@ from collections.abc import Iterator
 from contextlib import ExitStack, contextmanager
 from dataclasses import dataclass
 from pathlib import Path
+from tempfile import TemporaryDirectory
 
 import numpy as np
 
 from drivers.gphoto2_camera import Gphoto2Camera
 from drivers.grbl_stage import GrblStage
 from drivers.new_era_pump import NewEraPump
-from drivers.protocols import Camera, Clock, Device, Display, Frame, LevelSensor, Pump, Stage
+from drivers.protocols import Camera, Clock, Device, DeviceKind, Display, Frame, LevelSensor, Pump, Stage
 from drivers.stripe_player import StripePlayer
 from drivers.stripe_player.address import parse_address
 from drivers.tank_board import TankBoard
 from drivers.zaber_stage import ZaberStage
 from recon.manifest import DeviceRecord
 from rig.config import RigConfig
+from rig.emulation import emulate_rig
 from rig.errors import ConfigError
 from rig.operators import ConsoleOperator, Operator
 from rig.plan import Request
@@ -86,11 +88,15 @@ class TankDevices:
 
 @dataclass(frozen=True, slots=True)
 class Simulation:
-    """How to simulate: the scene, whether time passes as in a lab, and where the tank's state is kept between runs."""
+    """How to simulate: the scene, whether time passes as in a lab, and where the tank's state is kept between runs.
+
+    ``wire``: the real drivers drive emulated devices, in place of simulated ones.
+    """
 
     scene: Scene
     real_time: bool = False
     state_file: Path | None = None
+    wire: bool = False
 
 
 @contextmanager
@@ -106,6 +112,10 @@ def open_devices(config: RigConfig, *, simulation: Simulation | None) -> Iterato
     """
     if simulation is None:
         with open_real_devices(config) as devices:
+            yield devices
+        return
+    if simulation.wire:
+        with open_emulated_devices(config, simulation) as devices:
             yield devices
         return
     with open_world(config, simulation) as world, ExitStack() as stack:
@@ -127,25 +137,67 @@ def open_real_devices(config: RigConfig) -> Iterator[Devices]:
             f"no {', '.join(missing)} configured: name driver and address in the section [devices] of the "
             "configuration, or rehearse with --sim"
         )
-    clock = RealClock()
-    pump, level_sensor = real_pump(config) if "pump" in wanted else (None, None)
-    devices = Devices(
-        camera=real_camera(config),
-        display=real_display(config),
-        stage=real_stage(config, clock=clock),
-        pump=pump,
-        level_sensor=level_sensor,
-        operator=ConsoleOperator(),
-        clock=clock,
+    devices = real_devices(
+        config, display=real_display(config), operator=ConsoleOperator(), clock=RealClock(), kind="real"
     )
     with ExitStack() as stack:
-        # What can flood or move is opened last and left first. A level sensor on the pump's board is opened with it.
         stack.enter_context(devices.display)
         devices.display.screen()  # waits until somebody has opened the page
-        for device in (devices.camera, devices.stage, devices.pump):
-            if device is not None:
-                stack.enter_context(device)
+        _enter_hardware(devices, stack)
         yield devices
+
+
+@contextmanager
+def open_emulated_devices(config: RigConfig, simulation: Simulation) -> Iterator[Devices]:
+    """Open the real drivers on emulators of the devices, which share one simulated world.
+
+    Raises
+    ------
+    DeviceNotFoundError
+        When Chromium, which plays the tablet, is not installed, or an emulator does not start.
+    """
+    exposure_s = EXPOSURE_FRACTION * config.timing.photo_s if simulation.real_time else 0.0
+    download_s = config.timing.photo_s - exposure_s if simulation.real_time else 0.0
+    with ExitStack() as stack:
+        world = stack.enter_context(open_world(config, simulation))
+        optics = Photographer(simulation.scene)
+        rig = stack.enter_context(emulate_rig(config, world, optics, exposure_s=exposure_s, download_s=download_s))
+        player = real_display(
+            rig.config, kind="emulated", keep=Path(stack.enter_context(TemporaryDirectory(prefix="display-")))
+        )
+        devices = real_devices(
+            rig.config, display=player, operator=SimulatedOperator(world), clock=world.clock, kind="emulated"
+        )
+        stack.enter_context(player)
+        rig.tablet.open(player.url())
+        player.screen()  # waits until the page has connected
+        _enter_hardware(devices, stack)
+        yield devices
+
+
+def real_devices(config: RigConfig, *, display: Display, operator: Operator, clock: Clock, kind: DeviceKind) -> Devices:
+    """Return the drivers that ``config`` names, not opened yet; ``kind`` is what the session records of them."""
+    has_pump = config.tank is not None and config.tank.has_pump
+    pump, level_sensor = real_pump(config, kind=kind) if has_pump else (None, None)
+    return Devices(
+        camera=real_camera(config, kind=kind),
+        display=display,
+        stage=real_stage(config, clock=clock, kind=kind),
+        pump=pump,
+        level_sensor=level_sensor,
+        operator=operator,
+        clock=clock,
+    )
+
+
+def _enter_hardware(devices: Devices, stack: ExitStack) -> None:
+    """Open camera, stage and pump. What can flood or move is opened last and left first.
+
+    A level sensor on the pump's board is opened with it.
+    """
+    for device in (devices.camera, devices.stage, devices.pump):
+        if device is not None:
+            stack.enter_context(device)
 
 
 @contextmanager
@@ -159,7 +211,7 @@ def open_stage(config: RigConfig, *, simulation: Simulation | None) -> Iterator[
         yield stage
 
 
-def real_stage(config: RigConfig, *, clock: Clock) -> Stage:
+def real_stage(config: RigConfig, *, clock: Clock, kind: DeviceKind = "real") -> Stage:
     """Return the stage that ``config`` names, not opened yet; raises ``ConfigError`` where no driver answers to it."""
     if not config.devices.stage:
         raise ConfigError(
@@ -169,7 +221,7 @@ def real_stage(config: RigConfig, *, clock: Clock) -> Stage:
     driver, _, port = config.devices.stage.partition(":")
     travel_mm, velocity_mm_per_s = config.stage.travel_mm, config.stage.velocity_mm_per_s
     if driver == "grbl" and port:
-        return GrblStage(port, travel_mm=travel_mm, velocity_mm_per_s=velocity_mm_per_s, clock=clock)
+        return GrblStage(port, travel_mm=travel_mm, velocity_mm_per_s=velocity_mm_per_s, clock=clock, kind=kind)
     if driver == "zaber" and port:
         if config.stage.microstep_mm is None:
             raise ConfigError(
@@ -182,6 +234,7 @@ def real_stage(config: RigConfig, *, clock: Clock) -> Stage:
             travel_mm=travel_mm,
             velocity_mm_per_s=velocity_mm_per_s,
             clock=clock,
+            kind=kind,
         )
     raise ConfigError(
         f"devices.stage: no driver answers to {config.devices.stage!r}; write grbl:PORT or zaber:PORT, or rehearse with --sim"
@@ -203,7 +256,7 @@ def open_tank(config: RigConfig, *, simulation: Simulation | None) -> Iterator[D
         yield TankDevices(pump, level_sensor, ConsoleOperator(), RealClock())
 
 
-def real_pump(config: RigConfig) -> tuple[Pump, LevelSensor | None]:
+def real_pump(config: RigConfig, *, kind: DeviceKind = "real") -> tuple[Pump, LevelSensor | None]:
     """Return the pump that ``config`` names, and its level sensor if it has a calibrated one; neither is opened yet.
 
     Raises
@@ -232,6 +285,7 @@ def real_pump(config: RigConfig) -> tuple[Pump, LevelSensor | None]:
             dead_man_s=settings.dead_man_s,
             baud=settings.baud or 19200,
             pump_number=settings.pump_number,
+            kind=kind,
         )
         return pump, None
     if driver == "tank_board" and port:
@@ -241,6 +295,7 @@ def real_pump(config: RigConfig) -> tuple[Pump, LevelSensor | None]:
             drain_ml_per_min=settings.drain_rate_ml_per_min or rate_ml_per_min,
             level_points=settings.level_points,
             baud=settings.baud or 115200,
+            kind=kind,
         )
         return board, board if settings.level_points else None
     raise ConfigError(
@@ -260,7 +315,7 @@ def open_camera(config: RigConfig, *, simulation: Simulation | None) -> Iterator
         yield camera
 
 
-def real_camera(config: RigConfig) -> Camera:
+def real_camera(config: RigConfig, *, kind: DeviceKind = "real") -> Camera:
     """Return the camera that ``config`` names, not opened yet; raises ``ConfigError`` where no driver answers to it."""
     if not config.devices.camera:
         raise ConfigError(
@@ -269,7 +324,7 @@ def real_camera(config: RigConfig) -> Camera:
         )
     driver, _, address = config.devices.camera.partition(":")
     if driver == "gphoto2" and address.startswith(("usb:", "ptpip:")):
-        return Gphoto2Camera(address, profile=config.devices.camera_profile)
+        return Gphoto2Camera(address, profile=config.devices.camera_profile, kind=kind)
     raise ConfigError(
         f"devices.camera: no driver answers to {config.devices.camera!r}; write gphoto2:usb: or gphoto2:ptpip:HOST, "
         "or rehearse with --sim"
@@ -287,8 +342,18 @@ def open_display(config: RigConfig, *, simulation: Simulation | None) -> Iterato
         yield display
 
 
-def real_display(config: RigConfig) -> Display:
-    """Return the display that ``config`` names, not opened yet; raises ``ConfigError`` where no driver answers to it."""
+def real_display(
+    config: RigConfig,
+    *,
+    kind: DeviceKind = "real",
+    keep: Path | None = None,
+    page_timeout_s: float = PAGE_TIMEOUT_S,
+) -> StripePlayer:
+    """Return the display that ``config`` names, not opened yet; raises ``ConfigError`` where no driver answers to it.
+
+    ``keep`` is the folder of the page's token and certificate; without it, the program's own. ``page_timeout_s`` is how
+    long somebody may take to open the page.
+    """
     if not config.devices.display:
         raise ConfigError(
             "no display configured: name driver and address in the section [devices] of the configuration "
@@ -299,9 +364,10 @@ def real_display(config: RigConfig) -> Display:
         return StripePlayer(
             parse_address(address),
             primary=config.display.primary,
-            state_folder=state_folder() / "display",
+            state_folder=keep or state_folder() / "display",
             announce=lambda text: print(text, file=sys.stderr, flush=True),  # noqa: T201  (a question to the operator)
-            page_timeout_s=PAGE_TIMEOUT_S,
+            page_timeout_s=page_timeout_s,
+            kind=kind,
         )
     raise ConfigError(
         f"devices.display: no driver answers to {config.devices.display!r}; write browser: or browser:HOST:PORT, or "

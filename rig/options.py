@@ -17,6 +17,14 @@ from sim_backend.scene import Scene
 DEFAULT_SCENE = "semi_ellipsoid"
 
 SimOption = Annotated[bool, typer.Option("--sim", help="Rehearse with simulated devices; nothing real is touched.")]
+SimWireOption = Annotated[
+    bool,
+    typer.Option(
+        "--sim-wire",
+        help="Rehearse with the real drivers on emulated devices: a camera on PTP/IP, stage and pump on serial ports, the "
+        "display's page in Chromium.",
+    ),
+]
 ConfigOption = Annotated[
     Path | None, typer.Option("--config", metavar="FILE", help=f"The rig's configuration  [default: {DEFAULT_FILE}]")
 ]
@@ -67,11 +75,13 @@ class Rig:
     config: RigConfig
     scene: Scene | None
 
-    def simulation(self, *, real_time: bool, state_file: Path | None) -> Simulation | None:
+    def simulation(self, *, real_time: bool, state_file: Path | None, wire: bool = False) -> Simulation | None:
         """Return how to simulate, or None for real devices; options of a rehearsal are refused for those."""
         if self.scene is None and (real_time or state_file is not None):
             raise ConfigError("--state and --real-time belong to simulated devices; add --sim, or leave them out")
-        return None if self.scene is None else Simulation(self.scene, real_time=real_time, state_file=state_file)
+        if self.scene is None:
+            return None
+        return Simulation(self.scene, real_time=real_time, state_file=state_file, wire=wire)
 
 
 def choose_rig(sim: bool, config_file: Path | None, scene_name: str | None, options: SceneOptions) -> Rig:

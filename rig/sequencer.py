@@ -5,10 +5,11 @@ take the tank past its free volume. Every intent is in the journal before its ac
 """
 
 import math
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
+from contextlib import contextmanager
 from itertools import zip_longest
 
-from drivers.errors import DeviceError
+from drivers.errors import DeviceBusyError, DeviceError, DeviceProtocolError
 from drivers.protocols import FlowDirection, Photo
 from recon.session import SessionWriter
 from rig.config import RigConfig
@@ -37,12 +38,32 @@ from rig.tag_check import TagCheck
 SHOW_TIMEOUT_S = 10.0
 # Libgphoto2 itself gives up on a photo after 90 s; ours is the shorter leash.
 PHOTO_TIMEOUT_S = 60.0
+# A camera that spoils three photos in a row needs a person. It gets a moment between them, for what it may still be doing.
+PHOTO_ATTEMPTS = 3
+RETRY_PAUSE_S = 1.0
 # A stage may take twice its nominal time, plus what it takes to start.
 STAGE_TIME_FACTOR = 2.0
 STAGE_EXTRA_S = 10.0
 POLL_S = 0.25
 # The stage's position is compared with the plan before each sweep: a tenth of a millimetre is a lost step, not noise.
 POSITION_TOLERANCE_MM = 0.1
+
+
+class SpoiledPhotoError(Exception):
+    """A photo was damaged, stale or somebody else's, or the camera was busy; ``fault`` is what it said."""
+
+    def __init__(self, fault: DeviceError) -> None:
+        super().__init__(str(fault))
+        self.fault = fault
+
+
+@contextmanager
+def _spoils_the_photo() -> Iterator[None]:
+    """Tell a camera's fault that a second photo can mend from one that it cannot, and from those of other devices."""
+    try:
+        yield
+    except (DeviceBusyError, DeviceProtocolError) as fault:
+        raise SpoiledPhotoError(fault) from fault
 
 
 class Sequencer:
@@ -223,19 +244,41 @@ class Sequencer:
         )
 
     def _photograph(self, photo: TakePhoto, following: TakePhoto | None) -> None:
-        """Show, wait, expose; then show the next frame while this photo is downloaded and saved."""
+        """Take and save one photo; a photo that is spoiled is taken again, with its frame shown anew."""
         self._progress.tell(f"{photo.set_name} {photo.sweep} {photo.index}")
         check_pump_stands(self._devices, purpose="take a photo")
+        for attempt in range(1, PHOTO_ATTEMPTS + 1):
+            try:
+                files = self._taken(photo, following)
+                break
+            except SpoiledPhotoError as spoiled:
+                self._shown = None
+                if attempt == PHOTO_ATTEMPTS:
+                    raise spoiled.fault from None
+                self._writer.journal.append(
+                    "photo_spoiled",
+                    set=photo.set_name,
+                    sweep=photo.sweep,
+                    index=photo.index,
+                    attempt=attempt,
+                    reason=str(spoiled.fault),
+                )
+                self._wait(RETRY_PAUSE_S)
+        self._save(photo, files)
+        self.photos_taken += 1
+
+    def _taken(self, photo: TakePhoto, following: TakePhoto | None) -> tuple[Photo, ...]:
+        """Show, wait, expose; then show the next frame while this photo is downloaded."""
         if self._shown != photo.frame_id:
             self._show(photo)
         clock = self._devices.clock
         clock.sleep_s(self._shown_at_s + self._config.timing.settle_s - clock.now_s())
-        self._devices.camera.expose(timeout_s=PHOTO_TIMEOUT_S)
+        with _spoils_the_photo():
+            self._devices.camera.expose(timeout_s=PHOTO_TIMEOUT_S)
         if following is not None:
             self._show(following)
-        files = self._devices.camera.collect(timeout_s=PHOTO_TIMEOUT_S)
-        self._save(photo, files)
-        self.photos_taken += 1
+        with _spoils_the_photo():
+            return self._devices.camera.collect(timeout_s=PHOTO_TIMEOUT_S)
 
     def _show(self, photo: TakePhoto) -> None:
         self._devices.display.show(frame_of(photo, self._config), frame_id=photo.frame_id, timeout_s=SHOW_TIMEOUT_S)

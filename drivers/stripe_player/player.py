@@ -10,7 +10,7 @@ from typing import Literal
 import numpy as np
 
 from drivers.errors import DeviceError, DeviceNotFoundError, DeviceTimeoutError
-from drivers.protocols import DeviceInfo, Frame, ScreenInfo
+from drivers.protocols import DeviceInfo, DeviceKind, Frame, ScreenInfo
 from drivers.stripe_player.address import PageAddress, keep_token, qr_code
 from drivers.stripe_player.certificate import certificate_der, server_context
 from drivers.stripe_player.mailbox import Mailbox
@@ -43,6 +43,8 @@ class StripePlayer:
         How long ``screen`` waits for somebody to open the page.
     settle_s
         Extra time between the acknowledgement and the return of ``show``. The rig waits by itself, so it leaves this 0.
+    kind
+        What the session records: ``"emulated"`` when a program plays the tablet.
     """
 
     def __init__(
@@ -54,6 +56,7 @@ class StripePlayer:
         announce: Callable[[str], None],
         page_timeout_s: float,
         settle_s: float = 0.0,
+        kind: DeviceKind = "real",
     ) -> None:
         try:
             from drivers.stripe_player.server import PageServer  # here: aiohttp is for a rig with a page only
@@ -75,6 +78,7 @@ class StripePlayer:
         self._announce = announce
         self._page_timeout_s = page_timeout_s
         self._settle_s = settle_s
+        self._kind: DeviceKind = kind
         self._geometry: PageReport | None = None
         self._last: tuple[Frame, int] | None = None
 
@@ -90,7 +94,7 @@ class StripePlayer:
         """Return the browser that shows the page."""
         report = self._mailbox.report()
         browser = report.browser if report else "no page connected"
-        return DeviceInfo("real", "stripe player in a browser", self._server.address.origin(), browser)
+        return DeviceInfo(self._kind, "stripe player in a browser", self._server.address.origin(), browser)
 
     def screen(self) -> ScreenInfo:
         """Return the page's size in device pixels; waits until somebody has opened the page."""

@@ -6,11 +6,13 @@ from pathlib import Path
 from typing import Any
 
 import pytest
+from rich.console import Console
 
-from drivers.errors import DeviceTimeoutError, OutOfVolumeError
+from drivers.errors import DeviceBusyError, DeviceError, DeviceProtocolError, DeviceTimeoutError, OutOfVolumeError
 from drivers.protocols import Photo
 from recon.session import open_session
 from rig.capture import capture
+from rig.devices import Simulation, open_devices
 from rig.errors import CaptureError, CaptureStopped
 from rig.plan import all_photos
 from sim_backend.world import WorldState
@@ -274,3 +276,71 @@ def test_a_disk_without_room_is_noticed_before_the_first_photo(open_bench, confi
             resume=False,
             console=quiet,
         )
+
+
+@pytest.mark.parametrize("call", ["expose", "collect"])
+@pytest.mark.parametrize("error", [DeviceProtocolError("camera: half a file"), DeviceBusyError("camera: busy")])
+def test_a_spoiled_photo_is_taken_again_with_its_frame_shown_anew(
+    call: str, error: DeviceError, open_bench, thin_config, thin_scene, captured_thin, quiet, tmp_path, read_photo_bytes
+) -> None:
+    shown: list[int] = []
+    with open_bench(thin_config, thin_scene) as (devices, _):
+        show, collect, expose = devices.display.show, devices.camera.collect, devices.camera.expose
+        calls = iter(range(10**6))
+
+        def spoiled_collect(*, timeout_s: float) -> tuple[Photo, ...]:
+            photos = collect(timeout_s=timeout_s)
+            if call == "collect" and next(calls) == 4:
+                raise error
+            return photos
+
+        def remembered(frame: Any, *, frame_id: int, timeout_s: float) -> None:
+            shown.append(frame_id)
+            show(frame, frame_id=frame_id, timeout_s=timeout_s)
+
+        camera = Wrapped(devices.camera, collect=spoiled_collect)
+        if call == "expose":
+            camera = Wrapped(devices.camera, expose=fails_at(4, expose, error))
+        spoilt = dataclasses.replace(devices, camera=camera, display=Wrapped(devices.display, show=remembered))
+        capture(thin_config, tmp_path / "s", devices=spoilt, scene=thin_scene, resume=False, console=quiet)
+    (entry,) = (entry for entry in journal_of(tmp_path / "s") if entry["event"] == "photo_spoiled")
+    assert (entry["sweep"], entry["index"], entry["attempt"], entry["reason"]) == ("x", 2, 1, str(error))
+    # The next frame is on the glass already when a download fails, but not when an exposure does.
+    assert shown[:7] == ([0, 1, 2, 3, 4, 5, 4] if call == "collect" else [0, 1, 2, 3, 4, 4, 5])
+    assert read_photo_bytes(tmp_path / "s") == captured_thin
+
+
+def test_three_spoiled_photos_in_a_row_end_the_capture_with_what_the_camera_said(
+    open_bench, config, scene, quiet, tmp_path
+) -> None:
+    tries: list[float] = []
+
+    def never(*, timeout_s: float) -> None:
+        tries.append(timeout_s)
+        raise DeviceBusyError("camera: busy for ever")
+
+    with open_bench(config, scene) as (devices, _):
+        broken = dataclasses.replace(devices, camera=Wrapped(devices.camera, expose=never))
+        with pytest.raises(DeviceBusyError, match="busy for ever"):
+            capture(config, tmp_path / "s", devices=broken, scene=scene, resume=False, console=quiet)
+    assert len(tries) == 3
+    assert events_of(tmp_path / "s")[-3:] == ["photo_spoiled", "photo_spoiled", "came_to_rest"]
+
+
+def test_a_display_that_refuses_a_frame_is_no_spoiled_photo(open_bench, config, scene, quiet, tmp_path) -> None:
+    refused = DeviceProtocolError("display: does not fit")
+    with open_bench(config, scene) as (devices, _):
+        show = fails_at(4, devices.display.show, refused)
+        broken = dataclasses.replace(devices, display=Wrapped(devices.display, show=show))
+        with pytest.raises(DeviceProtocolError, match="does not fit"):
+            capture(config, tmp_path / "s", devices=broken, scene=scene, resume=False, console=quiet)
+    assert "photo_spoiled" not in events_of(tmp_path / "s")
+
+
+@pytest.fixture(scope="module")
+def captured_thin(thin_config, thin_scene, tmp_path_factory, read_photo_bytes) -> dict[str, bytes]:
+    """The photos of a capture in which nothing goes wrong."""
+    folder = tmp_path_factory.mktemp("thin") / "session"
+    with open_devices(thin_config, simulation=Simulation(thin_scene)) as devices:
+        capture(thin_config, folder, devices=devices, scene=thin_scene, resume=False, console=Console(quiet=True))
+    return read_photo_bytes(folder)
