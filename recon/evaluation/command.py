@@ -32,6 +32,10 @@ def evaluate_command(
     ellipsoid: Annotated[
         str | None, typer.Option(metavar="A,B,C", help="Semi-axes of a known ellipsoid about the origin, in mm.")
     ] = None,
+    ring: Annotated[
+        tuple[float, float] | None,
+        typer.Option(metavar="FROM TO", help="Truth: judge only these distances from the z axis, in mm."),
+    ] = None,
     known_radius: Annotated[
         float | None, typer.Option(min=0.0, help="The object's radius by other means, in mm.")
     ] = None,
@@ -53,6 +57,7 @@ def evaluate_command(
             truth=truth,
             ellipsoid_mm=None if ellipsoid is None else semi_axes_mm(ellipsoid),
             known=KnownSize(known_radius or None, known_height or None),
+            ring_mm=ring,
             most_facets=facets,
             threshold_mm=threshold,
             seed=seed,

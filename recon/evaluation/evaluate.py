@@ -2,7 +2,7 @@
 
 import json
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
@@ -51,6 +51,7 @@ def evaluate(
     truth: Path | None = None,
     ellipsoid_mm: tuple[float, float, float] | None = None,
     known: KnownSize = UNKNOWN_SIZE,
+    ring_mm: tuple[float, float] | None = None,
     most_facets: int = MOST_FACETS,
     threshold_mm: float = THRESHOLD_MM,
     seed: int = 0,
@@ -70,6 +71,8 @@ def evaluate(
         Semi-axes of a known ellipsoid about the origin; with a truth file, only judged pixels are measured against it.
     known
         The object's size, measured by other means.
+    ring_mm
+        Judge against truth only where its point lies between these distances from the z axis.
     most_facets, threshold_mm, seed
         Settings of the fits: facets to look for, inlier threshold, start of the random draws.
 
@@ -89,6 +92,8 @@ def evaluate(
             )
     rows: list[Row] = []
     known_truth = load_truth(truth) if truth is not None else None
+    if known_truth is not None and ring_mm is not None:
+        known_truth = _within_ring(known_truth, ring_mm)
     if known_truth is not None:
         rows += truth_rows(compare_with_truth(maps, known_truth), unit=unit)
     if ellipsoid_mm is not None:
@@ -99,6 +104,13 @@ def evaluate(
             maps, primitive, rng, known=known, unit=unit, most_facets=most_facets, threshold_mm=threshold_mm
         )
     return EvaluationResult(str(run_folder), method, unit, tuple(rows))
+
+
+def _within_ring(truth: Truth, ring_mm: tuple[float, float]) -> Truth:
+    with np.errstate(invalid="ignore"):
+        radius = np.hypot(truth.point_mm[..., 0], truth.point_mm[..., 1])
+        inside = (radius > ring_mm[0]) & (radius < ring_mm[1])
+    return replace(truth, judged=truth.judged & inside)
 
 
 def save_evaluation(result: EvaluationResult, path: Path) -> None:
