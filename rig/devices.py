@@ -12,12 +12,10 @@ from dataclasses import dataclass
 from pathlib import Path
 from tempfile import TemporaryDirectory
 
-import numpy as np
-
 from drivers.gphoto2_camera import Gphoto2Camera
 from drivers.grbl_stage import GrblStage
 from drivers.new_era_pump import NewEraPump
-from drivers.protocols import Camera, Clock, Device, DeviceKind, Display, Frame, LevelSensor, Pump, Stage
+from drivers.protocols import Camera, Clock, Device, DeviceKind, Display, LevelSensor, Pump, Stage
 from drivers.stripe_player import StripePlayer
 from drivers.stripe_player.address import parse_address
 from drivers.tank_board import TankBoard
@@ -27,15 +25,14 @@ from rig.config import RigConfig
 from rig.emulation import emulate_rig
 from rig.errors import ConfigError
 from rig.operators import ConsoleOperator, Operator
-from rig.plan import Request
+from rig.rehearsal import SimulatedOperator, Simulation, open_world
 from sim_backend.camera import SimulatedCamera
-from sim_backend.clock import RealClock, SimulatedClock
+from sim_backend.clock import RealClock
 from sim_backend.display import SimulatedDisplay
 from sim_backend.photography import Photographer
 from sim_backend.pump import SimulatedLevelSensor, SimulatedPump
-from sim_backend.scene import Scene
 from sim_backend.stage import SimulatedStage
-from sim_backend.world import TankSize, World, WorldState, load_state, save_state
+from sim_backend.world import World
 
 # How the simulated photo's time divides; the rest of a photo is its download.
 EXPOSURE_FRACTION = 0.25
@@ -84,19 +81,6 @@ class TankDevices:
     operator: Operator
     clock: Clock
     camera: Camera | None = None
-
-
-@dataclass(frozen=True, slots=True)
-class Simulation:
-    """How to simulate: the scene, whether time passes as in a lab, and where the tank's state is kept between runs.
-
-    ``wire``: the real drivers drive emulated devices, in place of simulated ones.
-    """
-
-    scene: Scene
-    real_time: bool = False
-    state_file: Path | None = None
-    wire: bool = False
 
 
 @contextmanager
@@ -381,32 +365,6 @@ def state_folder() -> Path:
     return (Path(base) if base else Path.home() / ".local" / "state") / "refractive-scan"
 
 
-@contextmanager
-def open_world(config: RigConfig, simulation: Simulation) -> Iterator[World]:
-    """Build the simulated world, as its state file left it where there is one, and keep its state on leaving."""
-    clock: Clock = RealClock() if simulation.real_time else SimulatedClock()
-    path = simulation.state_file
-    state = load_state(path) if path is not None and path.exists() else fresh_state(config)
-    tank = config.tank
-    # A thin object needs no liquid: a tank that is never filled stays dry.
-    size = TankSize(tank.free_volume_ml, tank.fill_ml) if tank else TankSize(1.0, 1.0)
-    dark = Frame(axis="x", levels=np.zeros(config.display.columns, dtype=np.uint8))
-    world = World(clock=clock, tank=size, dark_frame=dark, state=state)
-    try:
-        yield world
-    finally:
-        world.stop_flow()
-        world.stop_motion()
-        if path is not None:
-            save_state(world.state(), path)
-
-
-def fresh_state(config: RigConfig) -> WorldState:
-    """Return a rig as it is found in the morning: the liquid in the reservoir, the stage somewhere."""
-    low_mm, high_mm = config.stage.travel_mm
-    return WorldState(reservoir_ml=config.tank.reservoir_ml if config.tank else 0.0, stage_mm=(low_mm + high_mm) / 2)
-
-
 def simulated_devices(config: RigConfig, world: World, photographer: Photographer) -> Devices:
     """Return simulated devices that share ``world``; nothing is opened yet."""
     exposure_s = EXPOSURE_FRACTION * config.timing.photo_s
@@ -424,22 +382,3 @@ def simulated_devices(config: RigConfig, world: World, photographer: Photographe
         operator=SimulatedOperator(world),
         clock=world.clock,
     )
-
-
-class SimulatedOperator:
-    """A person who does at once what they are asked."""
-
-    def __init__(self, world: World) -> None:
-        self._world = world
-
-    def do(self, request: Request, text: str) -> None:  # noqa: ARG002  (the request says it all)
-        """Do it in the simulated world."""
-        match request:
-            case "insert_object" | "remove_object":
-                self._world.place_object(request == "insert_object")
-            case "fill_tank" | "drain_tank":
-                self._world.pour_by_hand(self._world.tank.fill_ml if request == "fill_tank" else 0.0)
-
-    def tank_ml(self, *, fill_ml: float) -> float:  # noqa: ARG002  (looks, instead of guessing)
-        """Look at the tank."""
-        return self._world.state().tank_ml

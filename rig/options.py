@@ -8,8 +8,8 @@ import typer
 
 from recon.session import open_session
 from rig.config import DEFAULT_FILE, RigConfig, load_config
-from rig.devices import Simulation
 from rig.errors import ConfigError
+from rig.rehearsal import Simulation
 from rig.scene_config import SceneOptions, config_of_scene, open_scene
 from rig.session_manifest import config_of_session, scene_of_session
 from sim_backend.scene import Scene

@@ -12,9 +12,10 @@ from drivers.errors import DeviceBusyError, DeviceError, DeviceProtocolError, De
 from drivers.protocols import Photo
 from recon.session import open_session
 from rig.capture import capture
-from rig.devices import Simulation, open_devices
+from rig.devices import open_devices
 from rig.errors import CaptureError, CaptureStopped
 from rig.plan import all_photos
+from rig.rehearsal import Simulation
 from sim_backend.world import WorldState
 
 

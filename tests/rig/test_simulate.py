@@ -7,7 +7,8 @@ import pytest
 
 from recon.session import open_session
 from rig.capture import capture
-from rig.devices import Simulation, open_devices
+from rig.devices import open_devices
+from rig.rehearsal import Simulation
 from rig.scene_config import SceneOptions, config_of_scene, open_scene
 from rig.simulate import simulate_session
 
