@@ -111,6 +111,13 @@ class Gphoto2Camera:
         settings: dict[str, str] = self._asked("settings", doing="its settings", limit_s=SETTINGS_S, names=names)
         return settings
 
+    def battery(self) -> str:
+        """The battery's charge in the camera's own words, such as ``75%``; empty where it does not tell."""
+        found: dict[str, str] = self._asked(
+            "settings", doing="its battery", limit_s=SETTINGS_S, names=("batterylevel",)
+        )
+        return found.get("batterylevel", "")
+
     def apply_settings(self, settings: dict[str, str]) -> None:
         """Freeze these settings and read them back; then check the ones that a sweep cannot do without.
 

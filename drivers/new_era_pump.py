@@ -23,7 +23,14 @@ from drivers.errors import (
     DeviceTimeoutError,
 )
 from drivers.new_era_link import NewEraLink
-from drivers.new_era_settings import FLOW, Settings, dispensed_ml, prepare, settings_for
+from drivers.new_era_settings import (
+    FLOW,
+    Settings,
+    dispensed_ml,
+    forbid_restart_after_power_failure,
+    prepare,
+    settings_for,
+)
 from drivers.new_era_wire import ALARMS, RUNNING_PROMPTS
 from drivers.protocols import DeviceInfo, DeviceKind, FlowDirection, PumpStatus
 from drivers.serial_port import SerialPort, Trace
@@ -105,7 +112,9 @@ class NewEraPump:
             # The pump may be as a program that died has left it: in Safe mode, with an alarm, even running.
             alarms = self._link.enter_basic_mode()
             for alarm in alarms:
-                log.warning("pump: %s since it was last used; look at the tank before a fill", ALARMS[alarm])
+                # A pump that was switched on, or whose program died, has rung as it should; the others are faults.
+                level = logging.WARNING if alarm in "RT" else logging.ERROR
+                log.log(level, "pump: %s since it was last used; look at the tank before a fill", ALARMS[alarm])
             self._version = self._link.ask("VER")
             if not self._version.startswith("NE"):
                 raise DeviceProtocolError(
@@ -140,6 +149,23 @@ class NewEraPump:
         """Model and version as the pump itself says."""
         model, _, version = self._version.removeprefix("NE").partition("V")
         return DeviceInfo(self._kind, f"New Era NE-{model}", self._port.address, version)
+
+    def rehearse(self) -> str:
+        """Have the pump take and give back its safety settings, with nothing flowing, and say what was proven.
+
+        Raises
+        ------
+        DeviceProtocolError
+            When it would start by itself after a power failure, or does not take the dead-man time.
+        """
+        self._stand_still()
+        forbid_restart_after_power_failure(self._link)
+        proven = "does not start by itself after a power failure"
+        if self._dead_man_s:
+            self._link.enter_safe_mode(self._dead_man_s)
+            self._link.enter_basic_mode()
+            proven += f", stops by itself when it hears nothing for {self._dead_man_s} s"
+        return proven
 
     # Pumping
 

@@ -23,11 +23,19 @@ class LateError(Exception):
     """The time of a call ran out while the camera still answers."""
 
 
+def library_version() -> str:
+    """Return the version of libgphoto2, such as ``2.5.34``; raises ``ImportError`` where it is not installed."""
+    import gphoto2
+
+    version: str = gphoto2.gp_library_version(gphoto2.GP_VERSION_SHORT)[0]
+    return version
+
+
 class OpenCamera:
     """Every public method but ``begin`` is one operation that the driver may ask for."""
 
     def __init__(self) -> None:
-        import gphoto2  # here and nowhere else: nobody else needs the library
+        import gphoto2  # in this module alone: nobody else needs the library
 
         self.gp: Any = gphoto2
         self._camera: Any = None
@@ -51,7 +59,7 @@ class OpenCamera:
         return {
             "model": model,
             "port": port,
-            "library": self.gp.gp_library_version(self.gp.GP_VERSION_SHORT)[0],
+            "library": library_version(),
             **found,
         }
 

@@ -138,6 +138,21 @@ class TankBoard:
         model, _, version = IDENTITY.partition("/")
         return DeviceInfo(self._kind, model, self._port.address, version)
 
+    def rehearse(self) -> str:
+        """Look at both safety contacts, with nothing flowing, and say what was proven.
+
+        Raises
+        ------
+        DeviceAlarmError
+            When one of them is open.
+        """
+        state = self._exchange("STATE?")
+        if state.leak_open:
+            raise DeviceAlarmError(f"pump: {FAULTS['leak']}; wipe it dry and look for the cause")
+        if state.full_open:
+            raise DeviceAlarmError(f"pump: {FAULTS['full']}; drain the tank, or mend the wire")
+        return "leak contact and over-fill contact are closed"
+
     # Pumping
 
     def start(self, direction: FlowDirection, *, volume_ml: float, max_run_s: float) -> None:

@@ -19,6 +19,7 @@ from rig.capture import whole_photos
 from rig.config import DEFAULT_FILE
 from rig.devices import open_devices
 from rig.display_cli import app as display_app
+from rig.doctor_cli import doctor
 from rig.errors import CaptureStopped, ConfigError, RigError
 from rig.options import choose_rig, rig_of_session
 from rig.plan import plan_capture, step_text
@@ -37,6 +38,7 @@ app = typer.Typer(
     pretty_exceptions_enable=False,
     rich_markup_mode=None,
 )
+app.command()(doctor)
 app.add_typer(stage_app, name="stage")
 app.add_typer(pump_app, name="pump")
 app.add_typer(camera_app, name="camera")
