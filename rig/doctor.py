@@ -17,6 +17,7 @@ from drivers.errors import DeviceError
 from recon.errors import ReconError
 from rig.errors import RigError
 
+INSTALL = "`pip install 'refractive-scan[rig]'`"
 Result = Literal["pass", "fail", "warn", "skipped", "look"]
 
 
@@ -93,6 +94,8 @@ def _examine(check: Check, found: "queue.SimpleQueue[Finding | None]") -> None:
             found.put(finding)
     except (DeviceError, RigError, ReconError) as error:
         found.put(finding_of_sentence(check.name, "fail", str(error), mend=check.mend))
+    except ImportError as error:
+        found.put(Finding(check.name, "fail", f"the Python package {error.name} is not installed", INSTALL))
     except Exception as error:  # a fault of one check, even one of this program, must not hide what others find
         text = f"the check itself failed ({type(error).__name__}: {error})"
         found.put(Finding(check.name, "fail", text, check.mend))
@@ -102,9 +105,16 @@ def _examine(check: Check, found: "queue.SimpleQueue[Finding | None]") -> None:
 
 
 def finding_of_sentence(name: str, result: Result, sentence: str, *, mend: str) -> Finding:
-    """Divide a sentence of ours, whose last part after a semicolon says what to try; ``mend`` is for one without it."""
-    text, separator, advice = sentence.removeprefix(f"{name}: ").rpartition("; ")
-    return Finding(name, result, text, advice) if separator else Finding(name, result, advice, mend)
+    """Divide a sentence of ours, whose part after the first semicolon says what to try; ``mend`` is for one without it."""
+    text = sentence.removeprefix(f"{name}: ")
+    # A semicolon in parentheses belongs to another sentence that is quoted there.
+    ends = [at for at in range(len(text)) if text.startswith("; ", at) and text[:at].count("(") == text[:at].count(")")]
+    if not ends:
+        return Finding(name, result, text, mend)
+    found, advice = text[: ends[0]], text[ends[0] + 2 :]
+    if found.endswith("this value is missing"):
+        advice = f"write it into the configuration: {advice}"
+    return Finding(name, result, found, advice)
 
 
 class _DriverWarnings(logging.Handler):

@@ -10,7 +10,7 @@ from drivers.usb_cameras import UsbCamera, find_usb_cameras, permission_fault, p
 from recon.photos import decode_grey
 from rig.config import RigConfig
 from rig.devices import real_camera
-from rig.doctor import Finding, finding_of_sentence
+from rig.doctor import INSTALL, Finding, finding_of_sentence
 from rig.doctor_devices import answers
 
 NAME = "camera"
@@ -42,7 +42,7 @@ def check_usb(wanted: str) -> Iterator[Finding]:
     try:
         cameras = find_usb_cameras()
     except ImportError:
-        yield Finding(name, "skipped", "the package pyusb is not installed", "pip install 'refractive-scan[rig]'")
+        yield Finding(name, "skipped", "the package pyusb is not installed", INSTALL)
         return
     if not cameras:
         yield Finding(name, "fail", "no still-image device (USB class 6)", CAMERA_OFF)

@@ -1,5 +1,6 @@
 """The doctor's checks of stage, pump and display: they open each device, ask it, and close it."""
 
+import math
 from collections.abc import Iterator
 from typing import Protocol, runtime_checkable
 
@@ -15,6 +16,8 @@ from sim_backend.clock import RealClock
 SHOW_S = 10.0
 # A tablet in its low-power mode refreshes 30 times a second.
 LOW_REFRESH_HZ = 45.0
+# From the acknowledgement to the light: a panel draws one refresh late and needs about another to answer.
+SETTLED_REFRESHES = 2
 ASKED_LEVEL = "no level sensor: a capture that goes on asks you what the tank holds"
 
 
@@ -126,11 +129,11 @@ def check_display(config: RigConfig, *, page_wait_s: float) -> Iterator[Finding]
             "" if same else "correct section [display], or the display's full screen, zoom and rotation",
         )
         if isinstance(display, StripePlayer):
-            yield from _page(display)
+            yield from _page(display, settle_s=config.timing.settle_s)
         yield from _shows(display, columns=screen.columns)
 
 
-def _page(player: StripePlayer) -> Iterator[Finding]:
+def _page(player: StripePlayer, *, settle_s: float) -> Iterator[Finding]:
     report = player.report()
     if report is None:
         return
@@ -143,6 +146,11 @@ def _page(player: StripePlayer) -> Iterator[Finding]:
     if 0 < report.refresh_hz < LOW_REFRESH_HZ:
         text = f"it refreshes {report.refresh_hz:.0f} times a second"
         yield Finding("display", "warn", text, "turn off Low Power Mode on the tablet, and plug it in")
+    if report.refresh_hz > 0 and settle_s * report.refresh_hz < SETTLED_REFRESHES:
+        text = f"settle_s is {settle_s:g}, shorter than two refreshes at {report.refresh_hz:.0f} Hz"
+        enough_s = math.ceil(1000 * SETTLED_REFRESHES / report.refresh_hz) / 1000
+        mend = f"set settle_s = {enough_s:g} or more in section [timing]"
+        yield Finding("display", "warn", text, mend)
 
 
 def _shows(display: Display, *, columns: int) -> Iterator[Finding]:

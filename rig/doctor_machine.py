@@ -9,12 +9,11 @@ from pathlib import Path
 
 from drivers.open_camera import library_version
 from rig.config import RigConfig, load_config, longest_run_s
-from rig.doctor import Finding, finding_of_sentence
+from rig.doctor import INSTALL, Finding, finding_of_sentence
 from rig.errors import ConfigError
 from rig.plan import plan_capture, summarise
 
 DISTRIBUTION = "refractive-scan"
-INSTALL = f"pip install '{DISTRIBUTION}[rig]'"
 # Earlier ones lose photos of several makers' cameras or wait for them without end.
 LIBGPHOTO2 = (2, 5, 34)
 # Photos differ in size; a disk that is full to the brim ends a capture in its last set.
@@ -43,10 +42,10 @@ def check_packages() -> Iterator[Finding]:
         try:
             version = metadata.version(package)
         except metadata.PackageNotFoundError:
-            yield Finding(name, "fail", "not installed", f"`{INSTALL}`")
+            yield Finding(name, "fail", "not installed", INSTALL)
             continue
         if _numbers(version) < _numbers(least):
-            yield Finding(name, "fail", f"{version} found, {least} is the least", f"`{INSTALL} --upgrade`")
+            yield Finding(name, "fail", f"{version} found, {least} is the least", f"`pip install --upgrade {package}`")
         else:
             yield Finding(name, "pass", version)
     yield check_libgphoto2()
@@ -68,7 +67,7 @@ def check_libgphoto2() -> Finding:
     try:
         version = library_version()
     except ImportError as error:
-        return Finding(name, "fail", f"cannot be loaded ({error})", f"`{INSTALL}`")
+        return Finding(name, "fail", f"cannot be loaded ({error})", INSTALL)
     if _numbers(version) < LIBGPHOTO2:
         return Finding(name, "fail", f"{version} found, {least} is the least", "`pip install --upgrade gphoto2`")
     return Finding(name, "pass", version)

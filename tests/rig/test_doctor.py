@@ -13,7 +13,7 @@ from doctor_bench import COLUMNS, DoctorBench, emulated_rig
 import rig.doctor_camera
 from drivers.usb_cameras import UsbCamera
 from rig.cli import main
-from rig.doctor import Check, Finding, failed, run_checks
+from rig.doctor import INSTALL, Check, Finding, failed, finding_of_sentence, run_checks
 from rig.doctor_camera import check_usb, seconds_of
 from rig.doctor_cli import Limits, plan_checks
 from rig.doctor_machine import check_disk, read_config, rig_packages
@@ -100,6 +100,31 @@ def test_a_stage_that_is_not_homed_is_no_reason_to_stop_and_says_how_to_home_it(
     (unhomed,) = [finding for finding in found if "not homed" in finding.found]
     assert unhomed.result == "warn"
     assert "rig stage home" in unhomed.mend
+
+
+def test_what_could_be_better_in_the_controller_of_the_stage_is_a_warning(bench: DoctorBench) -> None:
+    bench.stage.receive(b"$20=0\n")  # soft limits off
+    try:
+        found = findings_of(bench, "stage")
+    finally:
+        bench.stage.receive(b"$20=1\n")
+    assert [finding.result for finding in found if "$20" in finding.found + finding.mend] == ["warn"]
+    assert failed(found) == 0
+
+
+def test_a_settling_time_shorter_than_two_refreshes_is_a_warning(bench: DoctorBench) -> None:
+    bench.configure(settle_s="0.030")  # the emulated tablet refreshes 60 times a second: 2 / 60 s = 33 ms
+    (short,) = [finding for finding in findings_of(bench, "display") if finding.result == "warn"]
+    assert "settle_s is 0.03" in short.found
+    assert "settle_s = 0.034" in short.mend  # rounded up: it must pass when it is followed
+
+
+def test_a_value_that_a_driver_needs_and_lacks_is_named(bench: DoctorBench) -> None:
+    text = bench.file.read_text(encoding="utf-8").replace("diameter_mm = 26.59", "")
+    bench.file.write_text(text, encoding="utf-8")
+    (missing,) = findings_of(bench, "pump")
+    assert (missing.result, missing.found) == ("fail", "pump.diameter_mm: this value is missing")
+    assert missing.mend.startswith("write it into the configuration")
 
 
 def test_what_a_driver_warns_of_while_it_is_opened_becomes_a_line(bench: DoctorBench, caplog) -> None:
@@ -252,6 +277,23 @@ def test_a_check_that_breaks_and_one_that_hangs_end_no_other() -> None:
     ]
     assert "ZeroDivisionError: oops" in found[1].found
     assert found[2].mend == "switch it off and on"
+
+
+def test_a_sentence_divides_where_its_advice_begins_and_not_within_parentheses() -> None:
+    sentence = "pump: nothing answers (asked twice; silence); switch it on; look at the cable"
+    found = finding_of_sentence("pump", "fail", sentence, mend="not this")
+    assert found.found == "nothing answers (asked twice; silence)"
+    assert found.mend == "switch it on; look at the cable"
+    assert finding_of_sentence("pump", "fail", "pump: broken", mend="replace it").mend == "replace it"
+
+
+def test_a_package_that_is_missing_is_named_with_the_command_that_installs_it() -> None:
+    def needs_a_package() -> Iterator[Finding]:
+        raise ModuleNotFoundError("No module named 'serial'", name="serial")
+        yield
+
+    (found,) = run_checks([Check("stage", needs_a_package, 5.0, "")])
+    assert found == Finding("stage", "fail", "the Python package serial is not installed", INSTALL)
 
 
 def test_the_packages_that_are_checked_are_those_of_the_extra() -> None:
