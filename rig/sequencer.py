@@ -253,8 +253,6 @@ class Sequencer:
                 break
             except SpoiledPhotoError as spoiled:
                 self._shown = None
-                if attempt == PHOTO_ATTEMPTS:
-                    raise spoiled.fault from None
                 self._writer.journal.append(
                     "photo_spoiled",
                     set=photo.set_name,
@@ -263,6 +261,8 @@ class Sequencer:
                     attempt=attempt,
                     reason=str(spoiled.fault),
                 )
+                if attempt == PHOTO_ATTEMPTS:
+                    raise spoiled.fault from None
                 self._wait(RETRY_PAUSE_S)
         self._save(photo, files)
         self.photos_taken += 1

@@ -119,7 +119,7 @@ class Chromium:
             while data:
                 data = data[os.write(self._to, data) :]
         except OSError:
-            raise DeviceError("tablet: Chromium has ended; start anew") from None
+            raise DeviceError("tablet: Chromium has ended; resume the capture") from None
 
     def _message(self, method: str, deadline_s: float) -> bytes:
         while b"\0" not in self._unread:
@@ -128,7 +128,7 @@ class Chromium:
                 raise DeviceTimeoutError(f"tablet: Chromium did not answer {method} within {ANSWER_TIMEOUT_S:g} s")
             data = os.read(self._from, 1 << 20)
             if not data:
-                raise DeviceError("tablet: Chromium has ended; start anew")
+                raise DeviceError("tablet: Chromium has ended; resume the capture")
             self._unread += data
         message, _, self._unread = self._unread.partition(b"\0")
         return message
