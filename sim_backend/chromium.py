@@ -26,6 +26,7 @@ OPTIONS = (
     "--headless=new",
     "--remote-debugging-pipe",
     "--disable-gpu",
+    "--disable-dev-shm-usage",  # containers have little of it
     "--no-first-run",
     "--disable-background-networking",
     "--disable-component-update",
@@ -74,6 +75,14 @@ class Chromium:
         )
         os.close(heard)
         os.close(said)
+        try:
+            self.call("Browser.getVersion")
+        except DeviceError:
+            self.__exit__(None, None, None)
+            raise DeviceNotFoundError(
+                f"tablet: {program}, which plays the tablet, does not start; `{program} --headless=new --dump-dom "
+                "about:blank` tells why"
+            ) from None
         return self
 
     def __exit__(

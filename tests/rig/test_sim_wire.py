@@ -159,3 +159,14 @@ def test_without_chromium_one_sentence_says_how_to_install_it(monkeypatch: pytes
         open_devices(config, simulation=Simulation(scene, wire=True)),
     ):
         pass
+
+
+def test_a_chromium_that_does_not_start_is_named_with_the_way_to_see_why(
+    monkeypatch: pytest.MonkeyPatch, tmp_path: Path
+) -> None:
+    broken = tmp_path / "chromium"
+    broken.write_text("#!/bin/sh\nexit 1\n")
+    broken.chmod(0o755)
+    monkeypatch.setenv("PATH", f"{tmp_path}:/usr/bin:/bin")
+    with pytest.raises(DeviceNotFoundError, match=r"does not start; `.*/chromium --headless=new .* tells why"):
+        Chromium().__enter__()
