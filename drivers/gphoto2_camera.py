@@ -30,6 +30,8 @@ from drivers.protocols import DeviceInfo, DeviceKind, Photo
 log = logging.getLogger(__name__)
 
 PREVIEW_S = 10.0
+# How long a busy camera is left alone before it is asked again.
+BUSY_WAIT_S = 0.2
 # One attempt at a photo: the longest exposure of most bodies is 30 s, but a sweep's are a second at most.
 ATTEMPT_S = 20.0
 # An emulated camera that somebody starts by hand says so here, and is never recorded as a real one.
@@ -219,6 +221,10 @@ class Gphoto2Camera:
             if time.monotonic() >= end_s:
                 self._suspect = True
                 raise DeviceTimeoutError(f"camera {self._link.address}: a photo asked, {fault}")
+        if fault.code == BUSY:
+            # It answers, so it is not lost: what is left is to wait, as long as the caller allows.
+            time.sleep(min(BUSY_WAIT_S, max(end_s - time.monotonic(), 0.0)))
+            return
         self._rung = 0
         self._link.close()
         raise DeviceAlarmError(

@@ -125,7 +125,7 @@ register_view(app)
 def main() -> None:
     """Run the command; whatever goes wrong reaches the person as one sentence."""
     try:
-        app()
+        app(prog_name="recon")
     except ReconError as error:
         Console(stderr=True, highlight=False, markup=False, soft_wrap=True).print(f"recon: {error}")
         sys.exit(1)

@@ -164,7 +164,7 @@ def main() -> None:
     """Run the command; every expected failure ends in one sentence and a non-zero exit code."""
     logging.basicConfig(level=logging.WARNING, format="%(levelname)s %(name)s: %(message)s")
     try:
-        app()
+        app(prog_name="rig")
     except CaptureStopped as stopped:
         _fail(str(stopped), code=130)
     except (RigError, ReconError, DeviceError) as error:
