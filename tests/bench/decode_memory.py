@@ -84,7 +84,15 @@ def main() -> None:
             folder = Path(scratch) / str(places)
             write_session(folder, size=arguments.size, places=places)
             for method in ("paper", "full"):
-                command = [sys.executable, "-m", "tests.bench.decode_memory", "--decode", str(folder), "--method", method]
+                command = [
+                    sys.executable,
+                    "-m",
+                    "tests.bench.decode_memory",
+                    "--decode",
+                    str(folder),
+                    "--method",
+                    method,
+                ]
                 done = json.loads(subprocess.run(command, check=True, capture_output=True, text=True).stdout)
                 print(
                     f"{method:5} {places:4} photos: {done['wall_s']:6.2f} s, {places / done['wall_s']:6.1f} photos/s, "
