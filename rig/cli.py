@@ -20,6 +20,7 @@ from rig.config import DEFAULT_FILE
 from rig.devices import open_devices
 from rig.display_cli import app as display_app
 from rig.doctor_cli import doctor
+from rig.emulate_cli import emulate
 from rig.errors import CaptureStopped, ConfigError, RigError
 from rig.options import choose_rig, rig_of_session
 from rig.plan import plan_capture, step_text
@@ -39,6 +40,7 @@ app = typer.Typer(
     rich_markup_mode=None,
 )
 app.command()(doctor)
+app.command()(emulate)
 app.add_typer(stage_app, name="stage")
 app.add_typer(pump_app, name="pump")
 app.add_typer(camera_app, name="camera")

@@ -34,11 +34,7 @@ def open_world(config: RigConfig, simulation: Simulation) -> Iterator[World]:
     clock: Clock = RealClock() if simulation.real_time else SimulatedClock()
     path = simulation.state_file
     state = load_state(path) if path is not None and path.exists() else fresh_state(config)
-    tank = config.tank
-    # A thin object needs no liquid: a tank that is never filled stays dry.
-    size = TankSize(tank.free_volume_ml, tank.fill_ml) if tank else TankSize(1.0, 1.0)
-    dark = Frame(axis="x", levels=np.zeros(config.display.columns, dtype=np.uint8))
-    world = World(clock=clock, tank=size, dark_frame=dark, state=state)
+    world = new_world(config, clock, state)
     try:
         yield world
     finally:
@@ -46,6 +42,15 @@ def open_world(config: RigConfig, simulation: Simulation) -> Iterator[World]:
         world.stop_motion()
         if path is not None:
             save_state(world.state(), path)
+
+
+def new_world(config: RigConfig, clock: Clock, state: WorldState) -> World:
+    """Return the world of ``config`` with a dark display."""
+    tank = config.tank
+    # A thin object needs no liquid: a tank that is never filled stays dry.
+    size = TankSize(tank.free_volume_ml, tank.fill_ml) if tank else TankSize(1.0, 1.0)
+    dark = Frame(axis="x", levels=np.zeros(config.display.columns, dtype=np.uint8))
+    return World(clock=clock, tank=size, dark_frame=dark, state=state)
 
 
 def fresh_state(config: RigConfig) -> WorldState:

@@ -46,6 +46,14 @@ def require_module() -> Callable[[str, str], ModuleType]:
     return require
 
 
+def pytest_addoption(parser: pytest.Parser) -> None:
+    """Let somebody with devices on the bench ask them the questions of ``tests/contract`` too."""
+    text = (
+        "run the tests of tests/contract that need no simulated world on the real devices of this configuration as well"
+    )
+    parser.addoption("--hardware", metavar="rig.toml", help=text)
+
+
 def pytest_configure(config: pytest.Config) -> None:
     """Declare the one reason to skip that stands everywhere: a device that is not on the bench."""
     config.addinivalue_line("markers", "hardware: needs a real device; skipped without one, also under CI=true")

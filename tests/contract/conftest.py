@@ -6,7 +6,8 @@ A driver with its emulator joins a suite by one more entry in ``STAGES``, ``PUMP
 from collections.abc import Callable, Iterator
 from contextlib import AbstractContextManager, contextmanager
 from dataclasses import dataclass
-from functools import partial
+from functools import cache, partial
+from pathlib import Path
 from typing import Any, Generic, TypeVar
 
 import numpy as np
@@ -19,8 +20,11 @@ from drivers.new_era_pump import NewEraPump
 from drivers.protocols import Camera, Display, Frame, Pump, Stage
 from drivers.tank_board import TankBoard
 from drivers.zaber_stage import ZaberStage
+from rig.config import load_config
+from rig.devices import real_camera, real_display, real_pump, real_stage
+from rig.errors import RigError
 from sim_backend.camera import SimulatedCamera
-from sim_backend.clock import SimulatedClock
+from sim_backend.clock import RealClock, SimulatedClock
 from sim_backend.display import SimulatedDisplay
 from sim_backend.grbl_emulator import GrblEmulator
 from sim_backend.new_era_emulator import NewEraEmulator
@@ -44,7 +48,7 @@ D = TypeVar("D")
 @dataclass(frozen=True)
 class Bench(Generic[D]):
     device: D
-    world: Any  # a World, or what looks at the device in its place
+    world: Any  # a World, or what looks at the device in its place; None for a real device
 
 
 def empty_world() -> World:
@@ -182,28 +186,79 @@ DISPLAYS: dict[str, Opener] = {"simulated": simulated_display, "stripe player in
 CAMERAS: dict[str, Opener] = {"simulated": simulated_camera, "libgphoto2 over PTP/IP": libgphoto2_over_ptp_ip}
 
 
-@pytest.fixture(params=STAGES)
+BENCHES = {"open_stage": STAGES, "open_pump": PUMPS, "open_display": DISPLAYS, "open_camera": CAMERAS}
+
+
+def pytest_configure(config: pytest.Config) -> None:
+    text = "asks the device alone and not the simulated world, so that a real device can answer too (--hardware)"
+    config.addinivalue_line("markers", f"without_world: {text}")
+
+
+def pytest_generate_tests(metafunc: pytest.Metafunc) -> None:
+    """Ask each question of every bench, and with ``--hardware`` of the real devices too."""
+    configuration = metafunc.config.getoption("--hardware")
+    for fixture, benches in BENCHES.items():
+        if fixture in metafunc.fixturenames:
+            asked = [pytest.param(opener, id=name) for name, opener in benches.items()]
+            if configuration is not None and fixture in (real := real_benches(configuration)):
+                asked.append(pytest.param(real[fixture], id="hardware", marks=marks_on_hardware(metafunc)))
+            metafunc.parametrize(fixture, asked, indirect=True)
+
+
+def marks_on_hardware(metafunc: pytest.Metafunc) -> list[pytest.MarkDecorator]:
+    """Skip, before the device is touched, whatever needs to know what really happened."""
+    reason = "this test looks at the simulated world, and a real device has none"
+    alone = metafunc.definition.get_closest_marker("without_world") is not None
+    return [pytest.mark.hardware] if alone else [pytest.mark.hardware, pytest.mark.skip(reason=reason)]
+
+
+@cache
+def real_benches(configuration: str) -> dict[str, Opener]:
+    """Return a bench for each device that the configuration names; nothing is opened yet."""
+    try:
+        config = load_config(Path(configuration))
+    except (RigError, OSError) as error:
+        raise pytest.UsageError(f"--hardware: {error}") from None
+    openers: dict[str, tuple[str, Callable[[], Any]]] = {
+        "open_stage": (config.devices.stage, lambda: real_stage(config, clock=RealClock())),
+        "open_pump": (config.devices.pump, lambda: real_pump(config)[0]),
+        "open_display": (config.devices.display, lambda: real_display(config)),
+        "open_camera": (config.devices.camera, lambda: real_camera(config)),
+    }
+    real = {fixture: partial(real_bench, new) for fixture, (address, new) in openers.items() if address}
+    if not real:
+        raise pytest.UsageError(f"--hardware: {configuration} names no device in its section [devices]")
+    return real
+
+
+@contextmanager
+def real_bench(new_device: Callable[[], Any]) -> Iterator[Bench[Any]]:
+    with new_device() as device:
+        yield Bench(device, None)
+
+
+@pytest.fixture
 def open_stage(request: pytest.FixtureRequest) -> Opener:
-    return STAGES[request.param]
+    return request.param
 
 
-@pytest.fixture(params=PUMPS)
+@pytest.fixture
 def open_pump(request: pytest.FixtureRequest) -> Opener:
-    return PUMPS[request.param]
+    return request.param
 
 
-@pytest.fixture(params=DISPLAYS)
+@pytest.fixture
 def open_display(request: pytest.FixtureRequest) -> Iterator[Opener]:
-    yield DISPLAYS[request.param]
+    yield request.param
     close_pages()
+
+
+@pytest.fixture
+def open_camera(request: pytest.FixtureRequest) -> Opener:
+    return request.param
 
 
 @pytest.fixture(scope="session", autouse=True)
 def the_browser_ends_with_the_tests() -> Iterator[None]:
     yield
     close_browser()
-
-
-@pytest.fixture(params=CAMERAS)
-def open_camera(request: pytest.FixtureRequest) -> Opener:
-    return CAMERAS[request.param]

@@ -15,6 +15,7 @@ def brightness(photo: Photo) -> float:
     return float(simplejpeg.decode_jpeg(photo.data, colorspace="GRAY").mean())
 
 
+@pytest.mark.without_world
 def test_a_photo_is_a_whole_file(open_camera) -> None:
     with open_camera() as bench:
         bench.device.expose(timeout_s=10.0)
@@ -35,6 +36,7 @@ def test_a_photo_shows_what_was_on_the_glass_when_the_shutter_closed(open_camera
         assert brightness(white) > brightness(black) + 10
 
 
+@pytest.mark.without_world
 def test_a_photo_that_was_not_taken_cannot_be_collected(open_camera) -> None:
     with open_camera() as bench:
         with pytest.raises(DeviceProtocolError, match="expose"):
@@ -45,6 +47,7 @@ def test_a_photo_that_was_not_taken_cannot_be_collected(open_camera) -> None:
             bench.device.collect(timeout_s=10.0)
 
 
+@pytest.mark.without_world
 def test_a_second_exposure_does_not_overwrite_a_photo_that_was_not_collected(open_camera) -> None:
     with open_camera() as bench:
         bench.device.expose(timeout_s=10.0)
@@ -52,6 +55,7 @@ def test_a_second_exposure_does_not_overwrite_a_photo_that_was_not_collected(ope
             bench.device.expose(timeout_s=10.0)
 
 
+@pytest.mark.without_world
 def test_settings_are_read_back_and_unknown_ones_refused(open_camera) -> None:
     with open_camera() as bench:
         name = next(iter(bench.device.settings()))
@@ -62,6 +66,7 @@ def test_settings_are_read_back_and_unknown_ones_refused(open_camera) -> None:
         assert bench.device.settings() == before
 
 
+@pytest.mark.without_world
 def test_a_deadline_that_is_too_short_is_an_error_and_not_a_photo(open_camera) -> None:
     with open_camera() as bench:
         with pytest.raises(DeviceTimeoutError):

@@ -56,3 +56,12 @@ def test_the_glass_is_dark_after_leaving(open_display) -> None:
     levels = bench.world.look().frame.levels
     assert levels is not None
     assert not levels.any()
+
+
+@pytest.mark.without_world
+def test_a_display_confirms_what_fits_its_own_panel_and_refuses_the_rest(open_display) -> None:
+    with open_display() as bench:
+        columns = bench.device.screen().columns
+        bench.device.show(Frame(axis="x", levels=np.full(columns, 255, np.uint8)), frame_id=1, timeout_s=5.0)
+        with pytest.raises(DeviceProtocolError):
+            bench.device.show(Frame(axis="x", levels=np.zeros(columns + 1, np.uint8)), frame_id=2, timeout_s=5.0)

@@ -69,6 +69,7 @@ def test_refuses_a_volume_that_is_not_positive_before_anything_flows(open_pump, 
         assert bench.world.state().tank_ml == 0.0
 
 
+@pytest.mark.without_world
 @pytest.mark.parametrize("max_run_s", [0.0, -1.0, math.nan, math.inf])
 def test_refuses_to_run_without_a_time_limit(open_pump, max_run_s: float) -> None:
     with open_pump() as bench:
@@ -88,6 +89,7 @@ def test_a_stop_stops_and_a_second_one_is_harmless(open_pump) -> None:
         assert bench.device.status().moved_ml == pytest.approx(100.0)
 
 
+@pytest.mark.without_world
 def test_a_second_start_is_refused_while_the_pump_runs(open_pump) -> None:
     with open_pump() as bench:
         bench.device.start("fill", volume_ml=300.0, max_run_s=60.0)

@@ -58,17 +58,36 @@ def test_a_move_that_takes_too_long_ends_with_the_stage_still(open_stage) -> Non
         assert bench.world.stage_mm() == stopped_mm < 100.0
 
 
+@pytest.mark.without_world
 def test_stopping_twice_is_harmless(open_stage) -> None:
     with open_stage() as bench:
         bench.device.home(timeout_s=60.0)
         bench.device.stop()
         bench.device.stop()
-        bench.device.move_to_mm(5.0, timeout_s=60.0)
-        assert bench.device.position_mm() == pytest.approx(5.0, abs=0.01)
+        middle_mm = sum(bench.device.travel_mm()) / 2
+        bench.device.move_to_mm(middle_mm, timeout_s=60.0)
+        assert bench.device.position_mm() == pytest.approx(middle_mm, abs=0.01)
 
 
+@pytest.mark.without_world
 def test_a_stage_says_who_it_is_and_whether_it_is_real(open_stage) -> None:
     with open_stage() as bench:
         assert bench.device.info().kind in ("simulated", "emulated", "real")
         assert bench.device.info().model
+
+
+def test_a_stage_knows_its_travel(open_stage) -> None:
+    with open_stage() as bench:
         assert bench.device.travel_mm() == (0.0, 100.0)
+
+
+@pytest.mark.without_world
+def test_a_place_beyond_the_travel_is_refused_and_the_stage_says_that_it_has_not_moved(open_stage) -> None:
+    with open_stage() as bench:
+        bench.device.home(timeout_s=60.0)
+        low_mm, high_mm = bench.device.travel_mm()
+        before_mm = bench.device.position_mm()
+        for target_mm in (low_mm - 0.1, high_mm + 0.1):
+            with pytest.raises(OutOfTravelError, match="travel is"):
+                bench.device.move_to_mm(target_mm, timeout_s=60.0)
+        assert bench.device.position_mm() == pytest.approx(before_mm, abs=0.01)
