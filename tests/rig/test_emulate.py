@@ -144,6 +144,7 @@ def test_what_cannot_be_emulated_is_refused_in_one_sentence(arguments: tuple[str
     assert ran.stderr.count("\n") == 1
 
 
+@pytest.mark.slow
 def test_the_contract_is_asked_of_a_configured_device_where_it_needs_no_world(tmp_path: Path) -> None:
     """To the suite the emulators look real: it knows nothing of them but their addresses."""
     with emulating("--speed", "4", "--stage", "zaber", "--camera", "generic") as (_, printed):
