@@ -46,9 +46,13 @@ format: .venv/full.stamp  ## put the sources into the project's format
 	$(BIN)/python -m ruff format .
 	$(BIN)/python -m ruff check --fix .
 
-bench: .venv/full.stamp  ## measure time and peak memory
-	$(BIN)/python -m tests.bench.photograph_rate --scene semi_ellipsoid
-	$(BIN)/python -m tests.bench.decode_memory
+bench: .venv/full.stamp  ## measure time and peak memory; each script in tests/bench prints JSON
+	@for script in tests/bench/*.py; do \
+		name="$$(basename "$$script" .py)"; \
+		case "$$name" in _*) continue;; esac; \
+		echo "# $$name"; \
+		$(BIN)/python -m "tests.bench.$$name"; \
+	done
 
 docs: .venv/full.stamp  ## build the documentation site into docs/_build/html; a warning is an error
 	$(BIN)/python -m sphinx -W --keep-going -q -b html docs docs/_build/html
