@@ -216,10 +216,11 @@ class PageServer:
 async def _clean_up(runner: web.AppRunner) -> None:
     """Close the port and every line, without waiting for a browser to agree to the end of its TLS."""
     lines = [] if runner.server is None else [handler.transport for handler in runner.server.connections]
-    await runner.cleanup()
+    # Before the clean-up: it closes each line once more, and Python 3.11.2 cannot abort a TLS line closed twice.
     for line in lines:
         if line is not None:
             line.abort()
+    await runner.cleanup()
     # Closing takes a turn of the loop.
     await asyncio.sleep(0)
 
