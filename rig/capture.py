@@ -12,10 +12,11 @@ from recon.session import Session, SessionWriter, open_session
 from rig.config import RigConfig
 from rig.devices import Devices, TankDevices
 from rig.errors import CaptureError, CaptureStopped
-from rig.plan import PhotoKey, all_photos, plan_capture, summarise
+from rig.plan import all_photos, plan_capture, summarise
 from rig.progress import CaptureProgress
 from rig.sequencer import Sequencer
 from rig.session_manifest import manifest_of
+from rig.steps import PhotoKey
 from rig.stop_request import StopRequest
 from sim_backend.scene import Scene
 
@@ -88,15 +89,15 @@ def capture(
         try:
             sequencer.run(plan)
         except (CaptureStopped, KeyboardInterrupt):
-            have = needed - summary.photos + sequencer.photos_taken
-            writer.journal.append("capture_interrupted", photos=have, tank_ml=sequencer.tank_ml)
+            have = needed - summary.photos + sequencer.photos.taken
+            writer.journal.append("capture_interrupted", photos=have, tank_ml=sequencer.tank.tank_ml)
             raise CaptureStopped(
                 f"stopped with {have} of {needed} photos; pump and stage stand still"
-                + (f", the tank holds {sequencer.tank_ml:.0f} ml" if config.tank else "")
+                + (f", the tank holds {sequencer.tank.tank_ml:.0f} ml" if config.tank else "")
                 + f"; go on with `rig capture --resume --session {folder}{_rehearsal(devices, scene)}`"
             ) from None
         writer.journal.append("capture_finished", photos=needed)
-        return CaptureResult(sequencer.photos_taken, needed, needed)
+        return CaptureResult(sequencer.photos.taken, needed, needed)
 
 
 def _rehearsal(devices: Devices, scene: Scene | None) -> str:

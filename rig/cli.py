@@ -23,12 +23,13 @@ from rig.doctor_cli import doctor
 from rig.emulate_cli import emulate
 from rig.errors import CaptureStopped, ConfigError, RigError
 from rig.options import choose_rig, rig_of_session
-from rig.plan import plan_capture, step_text
+from rig.plan import plan_capture
 from rig.plan_table import print_plan
 from rig.pump_cli import app as pump_app
 from rig.scene_config import SceneOptions, config_of_scene, open_scene
 from rig.simulate import simulate_session
 from rig.stage_cli import app as stage_app
+from rig.steps import step_text
 from sim_backend.scene import load_scene, scene_names
 
 app = typer.Typer(

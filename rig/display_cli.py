@@ -14,8 +14,8 @@ from rig.devices import open_display
 from rig.errors import ConfigError
 from rig.frames import frame_of
 from rig.options import Rig, choose_rig
-from rig.plan import TakePhoto
 from rig.scene_config import SceneOptions
+from rig.steps import TakePhoto
 
 app = typer.Typer(
     help="The display by hand: show, screen, tag. It goes dark when a command ends.",

@@ -7,7 +7,7 @@ from recon.frame_tag import LARGEST_NUMBER, tag_levels
 from recon.manifest import Axis
 from recon.patterns import stripe_frame
 from rig.config import RigConfig
-from rig.plan import TakePhoto
+from rig.steps import TakePhoto
 
 LEVELS = {"white": 255, "black": 0}
 

@@ -4,7 +4,7 @@ import sys
 from typing import Protocol
 
 from rig.errors import CaptureError
-from rig.plan import Request
+from rig.steps import Request
 
 
 class Operator(Protocol):

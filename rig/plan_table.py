@@ -6,7 +6,8 @@ from rich.console import Console
 from rich.table import Table
 
 from rig.config import RigConfig
-from rig.plan import StartSweep, Step, TakePhoto, step_duration_s, step_text, summarise
+from rig.plan import summarise
+from rig.steps import StartSweep, Step, TakePhoto, step_duration_s, step_text
 
 
 def rows_of(plan: Sequence[Step], config: RigConfig) -> Iterator[tuple[str, int, float]]:

@@ -9,7 +9,7 @@ import numpy as np
 
 from drivers.protocols import Clock, Frame
 from rig.config import RigConfig
-from rig.plan import Request
+from rig.steps import Request
 from sim_backend.clock import RealClock, SimulatedClock
 from sim_backend.scene import Scene
 from sim_backend.world import TankSize, World, WorldState, load_state, save_state

@@ -14,9 +14,10 @@ from rich.console import Console
 from recon.session import TRUTH_NAME, SessionWriter
 from rig.config import RigConfig
 from rig.frames import frame_of
-from rig.plan import SetPlace, TakePhoto, all_photos, set_name, set_order
+from rig.plan import all_photos, set_name, set_order
 from rig.progress import CaptureProgress
 from rig.session_manifest import SIMULATED_DEVICE, manifest_of
+from rig.steps import SetPlace, TakePhoto
 from sim_backend.photography import Photographer, save_truth
 from sim_backend.scene import Scene
 

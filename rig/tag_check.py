@@ -10,7 +10,7 @@ from recon.photos import decode_grey
 from rig.config import RigConfig
 from rig.errors import CaptureError
 from rig.frames import tag_number
-from rig.plan import TakePhoto
+from rig.steps import TakePhoto
 
 DECODABLE = (".jpg", ".jpeg", ".png", ".tif", ".tiff")
 
