@@ -58,7 +58,7 @@ def decode_sweep(
     rise = max(PEAK_SIGMA * np.sqrt(dark), LEAST_PEAK_COUNTS)
     floor = np.minimum(black + rise, np.iinfo(black.dtype).max).astype(black.dtype)
     windows, photos = _stream(
-        session, capture_set, axis, floor=floor, half_width=_half_width(pattern, method), on_photo=on_photo
+        session, capture_set, axis, floor=floor, half_width=window_half_width(pattern, method), on_photo=on_photo
     )
     clipped = saturation_count(black)
     if method == "paper":
@@ -74,7 +74,8 @@ def decode_sweep(
     )
 
 
-def _half_width(pattern: StripePattern, method: Method) -> int:
+def window_half_width(pattern: StripePattern, method: Method) -> int:
+    """Return how many photos before and after a pixel's brightest one its place is made from."""
     if method == "paper":
         return 1
     return int(np.ceil(pattern.width_px / pattern.step_px / 2)) + NEIGHBOURS_BEYOND_PROFILE
@@ -85,16 +86,16 @@ def _black_level(session: Session, capture_set: CaptureSet, axis: Axis) -> tuple
 
     The black photo where there is one; otherwise the median of five photos spread over the sweep.
     """
-    count = capture_set.sweep(axis).pattern.count
+    numbers = session.photo_numbers(capture_set, axis)
 
     def photo(sweep: str, index: int) -> np.ndarray:
         return read_session_photo(session, capture_set.name, sweep, index)
 
-    first, last = photo(axis, 0), photo(axis, count - 1)
+    first, last = photo(axis, numbers[0]), photo(axis, numbers[-1])
     variance = dark_variance(first, last)
     if (capture_set.name, "black", 0) in session.photos:
         return photo("black", 0), variance
-    spread = [photo(axis, round(share * (count - 1))) for share in (0.0, 0.25, 0.5, 0.75, 1.0)]
+    spread = [photo(axis, numbers[round(share * (len(numbers) - 1))]) for share in (0.0, 0.25, 0.5, 0.75, 1.0)]
     return np.median(np.stack(spread), axis=0).astype(first.dtype), variance
 
 
@@ -125,7 +126,7 @@ def _stream(
     clipped = saturation_count(floor)
     free: np.ndarray | None = None
     quality = []
-    for index in range(capture_set.sweep(axis).pattern.count):
+    for index in session.photo_numbers(capture_set, axis):
         counts = read_session_photo(session, capture_set.name, axis, index, buffer=free)
         brightest = int(counts.max())
         share = float((counts >= clipped).mean()) if brightest >= clipped else 0.0

@@ -6,13 +6,15 @@ dropped on reading.
 
 import json
 import os
+from collections import Counter
 from collections.abc import Iterator
+from dataclasses import dataclass, field
 from datetime import UTC, datetime
 from pathlib import Path
 from types import TracebackType
-from typing import Any
+from typing import Annotated, Any, Literal
 
-from pydantic import BaseModel, ConfigDict, ValidationError
+from pydantic import BaseModel, ConfigDict, Field, ValidationError
 
 from recon.errors import SessionError
 
@@ -33,6 +35,38 @@ class PhotoRecord(BaseModel):
     bytes: int | None = None
     time: str = ""
     device: dict[str, Any] = {}
+
+
+class SweepRange(BaseModel):
+    """The journal line that narrows one sweep to the part of the display that is seen, first and last stripe included."""
+
+    model_config = ConfigDict(frozen=True, extra="forbid")
+
+    set: str
+    axis: Literal["x", "y"]
+    first_index: Annotated[int, Field(ge=0)]
+    last_index: int
+    time: str = ""
+
+
+class SweepRejected(BaseModel):
+    """The journal line that voids every photo of one sweep before it."""
+
+    model_config = ConfigDict(frozen=True, extra="forbid")
+
+    set: str
+    sweep: str
+    reason: str = ""
+    time: str = ""
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class JournalState:
+    """What a journal leaves in force: photos by (set, sweep, index), ranges by (set, axis), rejections by (set, sweep)."""
+
+    photos: dict[tuple[str, str, int], PhotoRecord] = field(default_factory=dict)
+    ranges: dict[tuple[str, str], SweepRange] = field(default_factory=dict)
+    rejections: Counter[tuple[str, str]] = field(default_factory=Counter)
 
 
 def now_text() -> str:
@@ -105,11 +139,42 @@ def read_journal(path: Path) -> Iterator[dict[str, Any]]:
 
 def read_photos(path: Path) -> Iterator[PhotoRecord]:
     """Yield the journal's photos in order; a photo that was taken again comes again."""
+    for record in _records(path):
+        if isinstance(record, PhotoRecord):
+            yield record
+
+
+def read_state(path: Path) -> JournalState:
+    """Return what is in force at the end of the journal: the last line counts, and a rejected sweep has no photos."""
+    state = JournalState()
+    for record in _records(path):
+        match record:
+            case PhotoRecord():
+                state.photos[record.set, record.sweep, record.index] = record
+            case SweepRange():
+                state.ranges[record.set, record.axis] = record
+            case SweepRejected():
+                state.rejections[record.set, record.sweep] += 1
+                for key in [key for key in state.photos if key[:2] == (record.set, record.sweep)]:
+                    del state.photos[key]
+    return state
+
+
+RECORDS: dict[str, type[PhotoRecord | SweepRange | SweepRejected]] = {
+    "photo": PhotoRecord,
+    "sweep_range": SweepRange,
+    "sweep_rejected": SweepRejected,
+}
+
+
+def _records(path: Path) -> Iterator[PhotoRecord | SweepRange | SweepRejected]:
+    """Yield the lines that a reader of the session needs, checked; others are for people."""
     for number, entry in enumerate(read_journal(path), start=1):
-        if entry["event"] != "photo":
+        record = RECORDS.get(entry["event"])
+        if record is None:
             continue
         try:
-            yield PhotoRecord.model_validate({k: v for k, v in entry.items() if k != "event"})
+            yield record.model_validate({k: v for k, v in entry.items() if k != "event"})
         except ValidationError as error:
             first = error.errors()[0]
             where = ".".join(str(part) for part in first["loc"])

@@ -6,6 +6,7 @@
     SESSION/journal.jsonl            what happened, one line an event, append only (``journal.py``)
     SESSION/photos/SET/AXIS/0000.jpg the sweeps, as the camera gave them
     SESSION/photos/SET/white.jpg     whole display lit; likewise black.jpg
+    SESSION/correspondence/          decoded sweeps, which can be made again (``correspondence_store.py``)
     SESSION/truth.npz                only in simulations, read by nothing but evaluation
 
 A photo is written under a temporary name, flushed and renamed before its journal line is written, so that a
@@ -15,8 +16,9 @@ line never names a photo that is not whole.
 import hashlib
 import json
 import os
+from collections import Counter
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from pathlib import Path, PurePosixPath
 from types import TracebackType
 from typing import Any
@@ -24,17 +26,19 @@ from typing import Any
 from pydantic import ValidationError
 
 from recon.errors import SessionError
-from recon.journal import JOURNAL_NAME, JournalWriter, PhotoRecord, now_text, read_photos
-from recon.manifest import SCHEMA_VERSION, Manifest
+from recon.journal import JOURNAL_NAME, JournalWriter, PhotoRecord, SweepRange, now_text, read_state
+from recon.manifest import SCHEMA_VERSION, Axis, CaptureSet, Manifest
+from recon.swept_range import narrowed
 
 MANIFEST_NAME = "manifest.json"
 TRUTH_NAME = "truth.npz"
 
 
-def photo_path(set_name: str, sweep: str, index: int, suffix: str) -> str:
-    """Return a photo's place inside the session, with forward slashes."""
+def photo_path(set_name: str, sweep: str, index: int, suffix: str, *, attempt: int = 1) -> str:
+    """Return a photo's place inside the session, with forward slashes; a second attempt at a sweep has its own folder."""
     if sweep in ("x", "y"):
-        return f"photos/{set_name}/{sweep}/{index:04d}{suffix}"
+        folder = sweep if attempt == 1 else f"{sweep}-{attempt}"
+        return f"photos/{set_name}/{folder}/{index:04d}{suffix}"
     numbered = "" if sweep in ("white", "black") else f"_{index:04d}"
     return f"photos/{set_name}/{sweep}{numbered}{suffix}"
 
@@ -71,11 +75,23 @@ def parse_manifest(text: str, *, source: str) -> Manifest:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Session:
-    """A saved session, opened for reading: its manifest and the photos that the journal vouches for."""
+    """A saved session, opened for reading: its manifest and the photos that the journal vouches for.
+
+    The manifest's sweeps are those that were swept: where the journal narrows one, its pattern begins at stripe ``first_index``
+    of the pattern on disk. Photos keep the numbers of the pattern on disk.
+    """
 
     folder: Path
     manifest: Manifest
     photos: Mapping[tuple[str, str, int], PhotoRecord]
+    ranges: Mapping[tuple[str, str], SweepRange] = field(default_factory=dict)
+    rejections: Mapping[tuple[str, str], int] = field(default_factory=dict)
+
+    def photo_numbers(self, capture_set: CaptureSet, axis: Axis) -> range:
+        """Return the numbers of a sweep's photos, in the order of its stripes."""
+        found = self.ranges.get((capture_set.name, axis))
+        first = found.first_index if found else 0
+        return range(first, first + capture_set.sweep(axis).pattern.count)
 
     def photo_file(self, set_name: str, sweep: str, index: int = 0) -> Path:
         """Return the path of a photo, or say which one is missing."""
@@ -100,11 +116,12 @@ def open_session(folder: Path) -> Session:
     except (OSError, UnicodeDecodeError) as error:
         raise SessionError(f"{source}: cannot be read ({error})") from None
     manifest = parse_manifest(text, source=str(source))
-    photos: dict[tuple[str, str, int], PhotoRecord] = {}
-    for record in read_photos(folder / JOURNAL_NAME):
-        check_inside(record.file, what=f"{folder / JOURNAL_NAME}: file")
-        photos[record.set, record.sweep, record.index] = record
-    return Session(folder, manifest, photos)
+    journal = folder / JOURNAL_NAME
+    state = read_state(journal)
+    for record in state.photos.values():
+        check_inside(record.file, what=f"{journal}: file")
+    swept = narrowed(manifest, state.ranges, source=str(journal))
+    return Session(folder, swept, state.photos, ranges=state.ranges, rejections=state.rejections)
 
 
 class SessionWriter:
@@ -115,6 +132,7 @@ class SessionWriter:
         self.manifest = manifest
         self.journal = journal
         self._durable = durable
+        self._rejections: Counter[tuple[str, str]] = Counter()
 
     @classmethod
     def create(cls, folder: Path, manifest: Manifest, *, durable: bool = True) -> "SessionWriter":
@@ -136,7 +154,9 @@ class SessionWriter:
     def reopen(cls, folder: Path) -> "SessionWriter":
         """Continue a session that was interrupted."""
         session = open_session(folder)
-        return cls(folder, session.manifest, JournalWriter(folder / JOURNAL_NAME))
+        writer = cls(folder, session.manifest, JournalWriter(folder / JOURNAL_NAME))
+        writer._rejections.update(session.rejections)
+        return writer
 
     def save_photo(
         self,
@@ -155,7 +175,7 @@ class SessionWriter:
             sweep=sweep,
             index=index,
             place_px=place_px,
-            file=photo_path(set_name, sweep, index, suffix),
+            file=photo_path(set_name, sweep, index, suffix, attempt=1 + self._rejections[set_name, sweep]),
             sha256=hashlib.sha256(data).hexdigest(),
             bytes=len(data),
             time=now_text(),
@@ -170,6 +190,11 @@ class SessionWriter:
                 "free some space and resume the capture"
             ) from error
         return record
+
+    def reject_sweep(self, set_name: str, sweep: str, *, reason: str) -> None:
+        """Void every photo of a sweep so far; its files stay, and new ones go to a folder of their own."""
+        self.journal.append("sweep_rejected", set=set_name, sweep=sweep, reason=reason)
+        self._rejections[set_name, sweep] += 1
 
     def close(self) -> None:
         """Close the journal; safe to call twice."""

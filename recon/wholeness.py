@@ -9,7 +9,7 @@ import numpy as np
 import simplejpeg
 
 from recon.errors import SessionError
-from recon.manifest import CaptureSet
+from recon.manifest import Axis, CaptureSet
 from recon.photos import read_grey
 from recon.session import Session
 
@@ -41,7 +41,11 @@ def missing_photos(session: Session) -> Iterator[Fault]:
     """Yield a fault for each hole in a sweep and for each photo that the journal names and the disk lacks."""
     for capture_set in session.manifest.sets:
         yield from _missing_of_set(session, capture_set)
-    known = {(one.name, axis) for one in session.manifest.sets for axis in ("x", "y")}
+    known = {
+        (one.name, sweep.axis): session.photo_numbers(one, sweep.axis)
+        for one in session.manifest.sets
+        for sweep in one.sweeps
+    }
     for (set_name, sweep, index), record in session.photos.items():
         if not (session.folder / record.file).is_file():
             yield Fault(record.file, "the journal names this photo, but it is missing; restore it or take it again")
@@ -49,16 +53,14 @@ def missing_photos(session: Session) -> Iterator[Fault]:
             continue
         if (set_name, sweep) not in known:
             yield Fault(record.file, f"the manifest has no sweep {set_name}/{sweep}", is_warning=True)
-        elif not 0 <= index < session.manifest.set_named(set_name).sweep(sweep).pattern.count:  # type: ignore[arg-type]  # x or y
-            yield Fault(
-                record.file, f"number {index} lies outside the sweep that the manifest describes", is_warning=True
-            )
+        elif index not in known[set_name, sweep]:  # type: ignore[index]  # x or y
+            yield Fault(record.file, f"number {index} lies outside the sweep that was planned", is_warning=True)
 
 
 def _missing_of_set(session: Session, capture_set: CaptureSet) -> Iterator[Fault]:
     for sweep in capture_set.sweeps:
         name = f"{session.folder}: sweep {capture_set.name}/{sweep.axis}"
-        numbers = range(sweep.pattern.count)
+        numbers = session.photo_numbers(capture_set, sweep.axis)
         holes = [n for n in numbers if (capture_set.name, sweep.axis, n) not in session.photos]
         if len(holes) == sweep.pattern.count:
             yield Fault(name, "no photo at all; resume the capture")
@@ -107,8 +109,11 @@ def _wrong_places(session: Session) -> Iterator[Fault]:
         names = {one.name for one in session.manifest.sets}
         if record.set not in names:
             continue
-        pattern = session.manifest.set_named(record.set).sweep(record.sweep).pattern  # type: ignore[arg-type]  # x or y
-        expected = pattern.first_px + pattern.step_px * record.index
+        axis: Axis = "x" if record.sweep == "x" else "y"
+        capture_set = session.manifest.set_named(record.set)
+        pattern = capture_set.sweep(axis).pattern
+        place = record.index - session.photo_numbers(capture_set, axis).start
+        expected = pattern.first_px + pattern.step_px * place
         if not np.isclose(record.place_px, expected, rtol=0, atol=1e-6):
             yield Fault(
                 record.file, f"the journal puts its stripe at {record.place_px} px, the manifest at {expected} px"
