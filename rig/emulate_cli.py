@@ -88,7 +88,7 @@ def emulate(
         if stage != "none":
             served.append(stack.enter_context(serve_stage(stage, world, config, wire)))
         if pump != "none":
-            served.append(stack.enter_context(serve_pump(pump, world, config, wire)))
+            served.append(stack.enter_context(serve_pump(pump, world, config, wire, speed=speed)))
         if camera != "none":
             served.append(
                 stack.enter_context(serve_camera(camera, world, opened, photo_s=config.timing.photo_s / speed))
@@ -126,8 +126,13 @@ def serve_stage(kind: Literal["grbl", "zaber"], world: World, config: RigConfig,
 
 
 @contextmanager
-def serve_pump(kind: Literal["new_era", "tank_board"], world: World, config: RigConfig, wire: Wire) -> Iterator[Served]:
-    """Serve a pump with the rate of ``config``; raises ``ConfigError`` for a scene without a tank."""
+def serve_pump(
+    kind: Literal["new_era", "tank_board"], world: World, config: RigConfig, wire: Wire, *, speed: float
+) -> Iterator[Served]:
+    """Serve a pump with the rate of ``config``; raises ``ConfigError`` for a scene without a tank.
+
+    ``speed`` is how many times faster than the host's the world's time passes.
+    """
     tank = config.tank
     if tank is None:
         raise ConfigError(f"scene {config.name} has no tank, so there is nothing to pump; add --pump none")
@@ -137,11 +142,13 @@ def serve_pump(kind: Literal["new_era", "tank_board"], world: World, config: Rig
     match kind:
         case "new_era":
             settings["pump"] = {"diameter_mm": f"{PUMP_DIAMETER_MM:g}"}
-            emulator = NewEraEmulator(world, max_rate_ml_per_min=tank.pump_rate_ml_per_min)
+            emulator = NewEraEmulator(world, max_rate_ml_per_min=tank.pump_rate_ml_per_min, world_s_per_host_s=speed)
             baud, end = 19200, "CR"
         case "tank_board":
             rate_ml_per_s = tank.pump_rate_ml_per_min / 60
-            emulator = TankBoardEmulator(world, fill_ml_per_s=rate_ml_per_s, drain_ml_per_s=rate_ml_per_s)
+            emulator = TankBoardEmulator(
+                world, fill_ml_per_s=rate_ml_per_s, drain_ml_per_s=rate_ml_per_s, world_s_per_host_s=speed
+            )
             baud, end = 115200, "LF"
         case _:
             assert_never(kind)

@@ -12,7 +12,7 @@ import threading
 
 from sim_backend.new_era_memory import ML_PER_S_PER_UNIT, ML_PER_UNIT, Memory, Phase, four_digits, number_in
 from sim_backend.new_era_motor import LAST_PHASE, WORLD_DIRECTION, Motor
-from sim_backend.new_era_packets import PacketReader, pack_basic, pack_safe
+from sim_backend.new_era_packets import INTER_BYTE_S, PacketReader, pack_basic, pack_safe
 from sim_backend.world import World
 
 # Up to this inside diameter volumes are in microlitres, above it in millilitres (NE-500 quick start).
@@ -29,6 +29,9 @@ class NewEraEmulator:
         A faster rate is answered with ``?OOR``.
     memory
         What an earlier owner left in the pump, for example Safe mode or a program of several phases.
+    world_s_per_host_s
+        How many of the world's seconds pass in one of the host's. The host's silence is measured in the host's own
+        time: a world that runs faster does not make the host any quicker.
 
     Attributes
     ----------
@@ -40,7 +43,14 @@ class NewEraEmulator:
         Rates are rounded to multiples of this number, in the units they were sent in; 0 keeps them as they are.
     """
 
-    def __init__(self, world: World, *, max_rate_ml_per_min: float = 2000.0, memory: Memory | None = None) -> None:
+    def __init__(
+        self,
+        world: World,
+        *,
+        max_rate_ml_per_min: float = 2000.0,
+        memory: Memory | None = None,
+        world_s_per_host_s: float = 1.0,
+    ) -> None:
         self.memory = memory or Memory()
         self.version = "NE9000V3.928"
         self.deaf_to: list[str] = []
@@ -50,9 +60,9 @@ class NewEraEmulator:
         self.commands: list[str] = []
         self._world = world
         self._max_rate_ml_per_s = max_rate_ml_per_min / 60
-        self._packets = PacketReader(world.clock)
+        self._packets = PacketReader(world.clock, inter_byte_s=INTER_BYTE_S * world_s_per_host_s)
         self._lock = threading.RLock()
-        self._motor = Motor(world, self.memory)
+        self._motor = Motor(world, self.memory, world_s_per_host_s=world_s_per_host_s)
         self._selected = 1  # the phase that commands talk about
 
     # The wire

@@ -24,9 +24,10 @@ class Motor:
         The letter of the alarm that nobody has acknowledged yet, and whether Safe mode has still to announce it.
     """
 
-    def __init__(self, world: World, memory: Memory) -> None:
+    def __init__(self, world: World, memory: Memory, *, world_s_per_host_s: float = 1.0) -> None:
         self._world = world
         self._memory = memory
+        self._world_s_per_host_s = world_s_per_host_s
         self.alarm = ""
         self.alarm_is_news = False
         self.power_up()
@@ -111,7 +112,7 @@ class Motor:
     def _silent_at_s(self) -> float:
         if self._heard_s is None or not self._memory.safe_s:
             return math.inf
-        return self._heard_s + self._memory.safe_s
+        return self._heard_s + self._memory.safe_s * self._world_s_per_host_s
 
     def _count(self) -> None:
         if self.turning():

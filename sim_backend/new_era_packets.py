@@ -41,8 +41,9 @@ def pack_safe(reply: str) -> bytes:
 class PacketReader:
     """Collects bytes into packets; a line that begins with STX is a Safe-mode packet, in either mode."""
 
-    def __init__(self, clock: Clock) -> None:
+    def __init__(self, clock: Clock, *, inter_byte_s: float = INTER_BYTE_S) -> None:
         self._clock = clock
+        self._inter_byte_s = inter_byte_s
         self._buffer = bytearray()
         self._last_s = clock.now_s()
 
@@ -53,7 +54,7 @@ class PacketReader:
     def feed(self, data: bytes) -> list[Packet]:
         """Take bytes and return the packets that they complete."""
         now_s = self._clock.now_s()
-        if now_s - self._last_s > INTER_BYTE_S:
+        if now_s - self._last_s > self._inter_byte_s:
             self._buffer.clear()
         self._last_s = now_s
         packets = []

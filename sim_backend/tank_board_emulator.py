@@ -3,7 +3,7 @@
 import threading
 
 from drivers.protocols import FlowDirection
-from sim_backend.tank_board_logic import Inputs, TankBoardLogic
+from sim_backend.tank_board_logic import HEARTBEAT_MS, Inputs, TankBoardLogic
 from sim_backend.world import World
 
 LONGEST_LINE = 31
@@ -22,6 +22,9 @@ class TankBoardEmulator:
         The tank's content at which the over-fill float opens its contact.
     counts_per_ml
         Slope of the level sensor; an empty tank reads 0.
+    world_s_per_host_s
+        How many of the world's seconds pass in one of the host's. The host's silence is measured in the host's own
+        time: a world that runs faster does not make the host any quicker.
 
     Attributes
     ----------
@@ -39,6 +42,7 @@ class TankBoardEmulator:
         drain_ml_per_s: float,
         full_at_ml: float | None = None,
         counts_per_ml: float = 0.1,
+        world_s_per_host_s: float = 1.0,
     ) -> None:
         self.leak_open = False
         self.full_open = False
@@ -49,6 +53,7 @@ class TankBoardEmulator:
         self._ml_per_s: dict[FlowDirection, float] = {"fill": fill_ml_per_s, "drain": drain_ml_per_s}
         self._full_at_ml = world.tank.free_volume_ml if full_at_ml is None else full_at_ml
         self._counts_per_ml = counts_per_ml
+        self._heartbeat_ms = round(HEARTBEAT_MS * world_s_per_host_s)
         self._lock = threading.RLock()
         self._buffer = bytearray()
         self._greeting = b""
@@ -97,7 +102,7 @@ class TankBoardEmulator:
 
     def _wake_up(self) -> None:
         self._woke_s = self._world.clock.now_s()
-        self._logic = TankBoardLogic()
+        self._logic = TankBoardLogic(heartbeat_ms=self._heartbeat_ms)
         self._logic.tick(0, self._inputs())
         self._greeting = self._logic.reply("BOOT").encode() + b"\n"
         self._buffer.clear()

@@ -38,9 +38,13 @@ class Contact:
 
 
 class TankBoardLogic:
-    """States and replies of the board; ``tick`` comes before every ``command`` with the same time."""
+    """States and replies of the board; ``tick`` comes before every ``command`` with the same time.
 
-    def __init__(self) -> None:
+    ``heartbeat_ms`` is how long a host may be silent while the pump runs.
+    """
+
+    def __init__(self, *, heartbeat_ms: int = HEARTBEAT_MS) -> None:
+        self._heartbeat_ms = heartbeat_ms
         self.state = "IDLE"
         self.fault = "reset"
         self._leak, self._full = Contact(), Contact()
@@ -51,7 +55,7 @@ class TankBoardLogic:
         """Return when the board will stop by itself if nobody says anything."""
         if self.state == "IDLE":
             return None
-        return min(self._started_ms + self._run_ms, self._heard_ms + HEARTBEAT_MS)
+        return min(self._started_ms + self._run_ms, self._heard_ms + self._heartbeat_ms)
 
     def tick(self, now_ms: int, inputs: Inputs) -> None:
         """Bring the board to ``now_ms``."""
@@ -62,7 +66,7 @@ class TankBoardLogic:
             self._ran_ms = now_ms - self._started_ms
             if self._ran_ms >= self._run_ms:
                 self.state = "IDLE"
-            elif now_ms - self._heard_ms >= HEARTBEAT_MS:
+            elif now_ms - self._heard_ms >= self._heartbeat_ms:
                 self.state, self.fault = "IDLE", "heartbeat"
             elif self.state == "FILLING" and self._full.open:
                 self.state, self.fault = "IDLE", "full"

@@ -115,6 +115,22 @@ def test_safe_mode_has_a_dead_man_timer_that_announces_its_alarm(pump: NewEraEmu
     assert pump.receive(bytes.fromhex("02 08 53 41 46 30 55 43 03")) == b"\x0200S\x03"
 
 
+def test_a_host_is_silent_in_its_own_time_however_fast_the_world_runs(world: World) -> None:
+    pump = NewEraEmulator(world, world_s_per_host_s=100.0)
+    start_fill(pump, "900.0")
+    assert pump.receive(packed("SAF5")) == packed("00I")
+    world.clock.sleep_s(40.0)  # 0.4 s of the host, in which no packet counts as torn
+    half = packed("VER")
+    assert pump.receive(half[:4]) == b""
+    world.clock.sleep_s(40.0)
+    assert pump.receive(half[4:]) == packed("00INE9000V3.928")
+    world.clock.sleep_s(499.0)
+    assert pump.poll() == b""
+    world.clock.sleep_s(600.0)
+    assert pump.poll() == packed("00A?T")
+    assert world.state().tank_ml == pytest.approx(580.0)  # 80 s, then 5 s of the host, at 1 ml/s
+
+
 def test_safe_mode_survives_the_power_but_its_timer_waits_for_the_first_packet(
     pump: NewEraEmulator, world: World
 ) -> None:

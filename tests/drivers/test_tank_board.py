@@ -99,6 +99,17 @@ def test_the_pump_stops_within_a_second_when_nobody_asks_for_its_status(bench: B
         assert board.status().alarm == status.alarm  # the board has forgotten it, the driver has not
 
 
+def test_a_host_is_silent_in_its_own_time_however_fast_the_emulated_world_runs() -> None:
+    world = dry_world()
+    emulator = TankBoardEmulator(world, fill_ml_per_s=10.0, drain_ml_per_s=5.0, world_s_per_host_s=8.0)
+    emulator.receive(b"STOP\nFILL 60000\n")
+    world.clock.sleep_s(7.9)  # a little less than a second of the host
+    assert b"OK HB FILLING" in emulator.receive(b"HB\n")
+    world.clock.sleep_s(60.0)
+    assert b"fault=heartbeat" in emulator.receive(b"HB\n")
+    assert world.state().tank_ml == pytest.approx((7.9 + 8.0) * 10.0)
+
+
 def test_an_overfull_tank_stops_the_fill_and_may_still_be_drained(bench: Bench) -> None:
     with bench.driver() as board:
         board.start("fill", volume_ml=300.0, max_run_s=60.0)

@@ -18,6 +18,7 @@ import simplejpeg
 
 from rig.config import RigConfig, load_config
 from rig.devices import real_camera, real_pump, real_stage
+from rig.flow import POLL_S
 from sim_backend.clock import RealClock
 
 ROOT = Path(__file__).parents[2]
@@ -73,7 +74,7 @@ def use_pump(config: RigConfig) -> None:
         deadline_s = time.monotonic() + PATIENCE_S
         while pump.status().running:
             assert time.monotonic() < deadline_s
-            time.sleep(0.05)
+            time.sleep(POLL_S)  # the pace of a capture, which the dead-man timers must bear at any speed of the world
         assert pump.status().moved_ml == pytest.approx(40.0, abs=0.1)
         assert pump.status().alarm == ""
 
@@ -103,7 +104,7 @@ def test_the_drivers_work_on_the_printed_addresses_and_ctrl_c_ends_it(tmp_path: 
             assert grey.shape == (64, 64, 1)
             assert grey.max() > 100, "a white display shows"
         process.send_signal(signal.SIGINT)
-        out, err = process.communicate(timeout=10.0)
+        out, err = process.communicate(timeout=PATIENCE_S)
         assert (process.returncode, err) == (0, "")
         assert out == "# The emulated devices are gone.\n"
 
@@ -123,7 +124,7 @@ def test_the_printed_command_lets_debians_gphoto2_take_a_photo(
         grey = simplejpeg.decode_jpeg((tmp_path / "photo.jpg").read_bytes(), colorspace="GRAY")
         assert grey.shape == (64, 64, 1)
         process.terminate()
-        assert process.wait(10.0) == 0
+        assert process.wait(PATIENCE_S) == 0
 
 
 @pytest.mark.parametrize(
