@@ -10,7 +10,8 @@ from pathlib import Path
 
 import numpy as np
 
-from recon.correspondence import Method, SweepResult, decode_sweep
+from recon.correspondence import Method, SweepResult
+from recon.correspondence_store import stored_or_decoded
 from recon.errors import ReconError
 from recon.journal import JOURNAL_NAME
 from recon.manifest import Manifest
@@ -104,7 +105,7 @@ def make_folder(out: Path) -> None:
 
 
 def decode_session(session: Session, settings: Settings) -> dict[tuple[str, str], SweepResult]:
-    """Decode the eight sweeps, one a thread."""
+    """Decode the eight sweeps, one a thread; those that were decoded during the capture are only read."""
     wanted = [(one, sweep) for one in session.manifest.sets for sweep in one.sweeps]
     total = sum(sweep.pattern.count for _, sweep in wanted)
     with (
@@ -112,7 +113,7 @@ def decode_session(session: Session, settings: Settings) -> dict[tuple[str, str]
         ThreadPoolExecutor(settings.threads or os.cpu_count()) as pool,
     ):
         running = [
-            pool.submit(decode_sweep, session, one, sweep.axis, method=settings.method, on_photo=step)
+            pool.submit(stored_or_decoded, session, one, sweep.axis, method=settings.method, on_photo=step)
             for one, sweep in wanted
         ]
         try:
