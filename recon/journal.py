@@ -1,9 +1,10 @@
 """The append-only journal of a session: one JSON object a line, flushed to disk before anyone relies on it.
 
-What the journal says is the truth. A last line without its line feed is what a power cut leaves: it is
-dropped on reading.
+What the journal says is the truth. A last line without its line feed, or with NUL bytes where its end did not reach the
+disk, is what a power cut leaves: it is dropped on reading.
 """
 
+import contextlib
 import json
 import os
 from collections import Counter
@@ -16,6 +17,7 @@ from typing import Annotated, Any, Literal
 
 from pydantic import BaseModel, ConfigDict, Field, ValidationError
 
+from recon.disk import Disk, write_fault
 from recon.errors import SessionError
 
 JOURNAL_NAME = "journal.jsonl"
@@ -75,24 +77,67 @@ def now_text() -> str:
 
 
 class JournalWriter:
-    """Append lines to a journal; each is on disk when the call returns, or ``durable`` is False."""
+    """Append lines to a journal; each is on disk when the call returns, unless ``disk`` is not durable.
 
-    def __init__(self, path: Path, *, durable: bool = True) -> None:
-        _cut_torn_line(path)
-        self._durable = durable
-        self._file = path.open("ab")
+    Raises
+    ------
+    SessionError
+        When a line cannot be written. It is taken back, so that no half of a line stands before a whole one. After a
+        flush that failed nothing is appended any more: what the disk then holds is not known until it is read again.
+    """
+
+    def __init__(self, path: Path, *, disk: Disk) -> None:
+        self._path = path
+        self._disk = disk
+        self._fault = ""
+        self._file: int | None = None
+        try:
+            self._file = disk.open_to_append(path)
+            self._cut_torn_line(self._file)
+            # Also after a kill, which cuts nothing: lines that were written and not flushed are relied on from here.
+            disk.flush(self._file)
+            disk.flush_folder(path.parent)
+        except OSError as error:
+            self.close()
+            raise SessionError(write_fault(path, error)) from error
 
     def append(self, event: str, **fields: object) -> None:
         """Write one line and flush it to the disk."""
-        line = json.dumps({"event": event, "time": now_text(), **fields}, allow_nan=False)
-        self._file.write(line.encode() + b"\n")
-        self._file.flush()
-        if self._durable:
-            os.fsync(self._file.fileno())
+        if self._fault or self._file is None:
+            raise SessionError(self._fault or f"{self._path}: is closed; resume the capture")
+        entry = json.dumps({"event": event, "time": now_text(), **fields}, allow_nan=False)
+        line = entry.encode() + b"\n"
+        written = False
+        try:
+            if os.fstat(self._file).st_size != self._length:  # Ctrl-C came in the middle of the line before
+                self._cut_torn_line(self._file)
+            self._disk.write(self._file, line)
+            written = True
+            self._disk.flush(self._file)
+        except OSError as error:
+            fault = write_fault(self._path, error)
+            if written:
+                self._fault = fault
+            self._take_back(self._file)
+            raise SessionError(fault) from error
+        self._length += len(line)
+
+    def _cut_torn_line(self, file: int) -> None:
+        self._length = _whole_length(self._path.read_bytes())
+        self._disk.truncate(file, self._length)
+
+    def _take_back(self, file: int) -> None:
+        try:
+            self._disk.truncate(file, self._length)
+        except OSError as error:
+            self._fault = write_fault(self._path, error)
 
     def close(self) -> None:
         """Close the file; safe to call twice."""
-        self._file.close()
+        if self._file is not None:
+            with contextlib.suppress(OSError):  # every line that counts was flushed
+                self._disk.close(self._file)
+            self._file = None
 
     def __enter__(self) -> "JournalWriter":
         return self
@@ -106,16 +151,12 @@ class JournalWriter:
         self.close()
 
 
-def _cut_torn_line(path: Path) -> None:
-    """Drop a half-written last line, so that the next line starts on a line of its own."""
-    if not path.exists():
-        return
-    data = path.read_bytes()
-    whole = data.rfind(b"\n") + 1
-    if whole < len(data):
-        with path.open("r+b") as file:
-            file.truncate(whole)
-            os.fsync(file.fileno())
+def _whole_length(data: bytes) -> int:
+    """Return how many bytes of a journal are whole lines; a torn line can only be the last."""
+    end = data.rfind(b"\n") + 1
+    last = data.rfind(b"\n", 0, max(end - 1, 0)) + 1
+    # JSON writes NUL as \\u0000: a NUL byte is a page of the file that never reached the disk.
+    return last if b"\0" in data[last:end] else end
 
 
 def read_journal(path: Path) -> Iterator[dict[str, Any]]:
@@ -124,8 +165,7 @@ def read_journal(path: Path) -> Iterator[dict[str, Any]]:
         data = path.read_bytes()
     except FileNotFoundError:
         raise SessionError(f"{path}: no journal; is this the folder of a session?") from None
-    *lines, _torn = data.split(b"\n")
-    for number, line in enumerate(lines, start=1):
+    for number, line in enumerate(data[: _whole_length(data)].split(b"\n"), start=1):
         if not line.strip():
             continue
         try:

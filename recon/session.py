@@ -10,12 +10,12 @@
     SESSION/truth.npz                only in simulations, read by nothing but evaluation
 
 A photo is written under a temporary name, flushed and renamed before its journal line is written, so that a
-line never names a photo that is not whole.
+line never names a photo that is not whole. The manifest comes last when a session is begun: a folder that has one has
+all that a session needs.
 """
 
 import hashlib
 import json
-import os
 from collections import Counter
 from collections.abc import Mapping
 from dataclasses import dataclass, field
@@ -25,6 +25,7 @@ from typing import Any
 
 from pydantic import ValidationError
 
+from recon.disk import PART_SUFFIX, Disk, make_folders, write_fault, write_whole
 from recon.errors import SessionError
 from recon.journal import JOURNAL_NAME, JournalWriter, PhotoRecord, SweepRange, now_text, read_state
 from recon.manifest import SCHEMA_VERSION, Axis, CaptureSet, Manifest
@@ -32,6 +33,7 @@ from recon.swept_range import narrowed
 
 MANIFEST_NAME = "manifest.json"
 TRUTH_NAME = "truth.npz"
+DISK = Disk()
 
 
 def photo_path(set_name: str, sweep: str, index: int, suffix: str, *, attempt: int = 1) -> str:
@@ -125,36 +127,45 @@ def open_session(folder: Path) -> Session:
 
 
 class SessionWriter:
-    """Writes a session so that nothing it acknowledged can be lost."""
+    """Writes a session so that nothing it acknowledged can be lost.
 
-    def __init__(self, folder: Path, manifest: Manifest, journal: JournalWriter, *, durable: bool = True) -> None:
+    Every ``OSError`` on the way becomes a ``SessionError``. ``disk`` is what it writes with, :data:`DISK` where none is given.
+    """
+
+    def __init__(self, folder: Path, manifest: Manifest, journal: JournalWriter, *, disk: Disk) -> None:
         self.folder = folder
         self.manifest = manifest
         self.journal = journal
-        self._durable = durable
+        self._disk = disk
+        self._ready_folders = {folder}
         self._rejections: Counter[tuple[str, str]] = Counter()
 
     @classmethod
-    def create(cls, folder: Path, manifest: Manifest, *, durable: bool = True) -> "SessionWriter":
-        """Start a new session in a folder that is absent or empty.
-
-        ``durable=False`` leaves it to the system when photos and journal reach the disk: for simulations, which
-        can be made again.
-        """
+    def create(cls, folder: Path, manifest: Manifest, *, disk: Disk | None = None) -> "SessionWriter":
+        """Start a new session in a folder that is absent or empty, or holds a beginning that never became a session."""
+        disk = disk or DISK
         try:
-            folder.mkdir(parents=True, exist_ok=True)
-            if any(folder.iterdir()):
+            make_folders(folder, disk=disk)
+            if not _holds_nothing(folder):
                 raise SessionError(f"{folder}: not empty; choose a new folder for the session")
-            write_durably(folder / MANIFEST_NAME, (manifest.model_dump_json(indent=2) + "\n").encode())
-            return cls(folder, manifest, JournalWriter(folder / JOURNAL_NAME, durable=durable), durable=durable)
+            journal = JournalWriter(folder / JOURNAL_NAME, disk=disk)
+            write_whole(folder / MANIFEST_NAME, (manifest.model_dump_json(indent=2) + "\n").encode(), disk=disk)
+            return cls(folder, manifest, journal, disk=disk)
         except OSError as error:
             raise SessionError(f"{folder}: cannot be written ({error.strerror})") from error
 
     @classmethod
-    def reopen(cls, folder: Path) -> "SessionWriter":
-        """Continue a session that was interrupted."""
+    def reopen(cls, folder: Path, *, disk: Disk | None = None) -> "SessionWriter":
+        """Continue a session that was interrupted; half-written files, which no line names, are removed."""
+        disk = disk or DISK
         session = open_session(folder)
-        writer = cls(folder, session.manifest, JournalWriter(folder / JOURNAL_NAME))
+        try:
+            for part in folder.rglob(f"*{PART_SUFFIX}"):
+                disk.remove(part)
+            make_folders(folder, disk=disk)
+        except OSError as error:
+            raise SessionError(write_fault(folder, error)) from error
+        writer = cls(folder, session.manifest, JournalWriter(folder / JOURNAL_NAME, disk=disk), disk=disk)
         writer._rejections.update(session.rejections)
         return writer
 
@@ -169,7 +180,7 @@ class SessionWriter:
         place_px: float | None = None,
         device: dict[str, Any] | None = None,
     ) -> PhotoRecord:
-        """Write a photo, then its journal line; both are on disk when this returns (unless not ``durable``)."""
+        """Write a photo, then its journal line; both are on disk when this returns."""
         record = PhotoRecord(
             set=set_name,
             sweep=sweep,
@@ -181,20 +192,28 @@ class SessionWriter:
             time=now_text(),
             device=device or {},
         )
+        path = self.folder / record.file
         try:
-            write_whole(self.folder / record.file, data, durable=self._durable)
-            self.journal.append("photo", **record.model_dump())
+            self._make_ready(path.parent)
+            write_whole(path, data, disk=self._disk)
         except OSError as error:
-            raise SessionError(
-                f"{self.folder / record.file}: cannot be written ({error.strerror}); "
-                "free some space and resume the capture"
-            ) from error
+            raise SessionError(write_fault(path, error)) from error
+        self.journal.append("photo", **record.model_dump())
         return record
 
     def reject_sweep(self, set_name: str, sweep: str, *, reason: str) -> None:
         """Void every photo of a sweep so far; its files stay, and new ones go to a folder of their own."""
         self.journal.append("sweep_rejected", set=set_name, sweep=sweep, reason=reason)
         self._rejections[set_name, sweep] += 1
+
+    def _make_ready(self, folder: Path) -> None:
+        """Make a folder of photos, whose name lasts; one that is there may have been made just before a power cut."""
+        if folder in self._ready_folders:
+            return
+        self._make_ready(folder.parent)
+        self._disk.make_folder(folder)
+        self._disk.flush_folder(folder.parent)
+        self._ready_folders.add(folder)
 
     def close(self) -> None:
         """Close the journal; safe to call twice."""
@@ -212,25 +231,9 @@ class SessionWriter:
         self.close()
 
 
-def write_durably(path: Path, data: bytes) -> None:
-    """Write a file so that after a power cut it is whole or absent: temporary name, flush, rename, flush the folder."""
-    write_whole(path, data, durable=True)
-
-
-def write_whole(path: Path, data: bytes, *, durable: bool) -> None:
-    """Write a file under a temporary name and rename it; unless ``durable``, a power cut may still take it."""
-    path.parent.mkdir(parents=True, exist_ok=True)
-    temporary = path.with_name(path.name + ".part")
-    with temporary.open("wb") as file:
-        file.write(data)
-        file.flush()
-        if durable:
-            os.fsync(file.fileno())
-    temporary.replace(path)
-    if not durable:
-        return
-    folder = os.open(path.parent, os.O_RDONLY)
-    try:
-        os.fsync(folder)
-    finally:
-        os.close(folder)
+def _holds_nothing(folder: Path) -> bool:
+    """Tell whether a folder is empty, but for what :meth:`SessionWriter.create` leaves when it is cut short."""
+    beginnings = {JOURNAL_NAME, MANIFEST_NAME + PART_SUFFIX}
+    return all(
+        path.name in beginnings and not (path.name == JOURNAL_NAME and path.stat().st_size) for path in folder.iterdir()
+    )

@@ -48,6 +48,8 @@ def emulate_rig(
     DeviceError
         On leaving, when Chromium failed while the camera looked at it.
     """
+    world.stop_flow()  # these devices are switched on only now
+    world.stop_motion()
     with ExitStack() as stack:
         chromium = stack.enter_context(Chromium())
         tablet = BrowserTablet(chromium, columns=config.display.columns, rows=config.display.rows)

@@ -1,6 +1,6 @@
 """The simulated world of a rehearsal: how it begins, what a person does in it, and where it is kept between commands."""
 
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
@@ -12,7 +12,8 @@ from rig.config import RigConfig
 from rig.steps import Request
 from sim_backend.clock import RealClock, SimulatedClock
 from sim_backend.scene import Scene
-from sim_backend.world import TankSize, World, WorldState, load_state, save_state
+from sim_backend.world import TankSize, World, WorldState
+from sim_backend.world_file import WorldFile, after_restart, load_state
 
 
 @dataclass(frozen=True, slots=True)
@@ -30,27 +31,56 @@ class Simulation:
 
 @contextmanager
 def open_world(config: RigConfig, simulation: Simulation) -> Iterator[World]:
-    """Build the simulated world, as its state file left it where there is one, and keep its state on leaving."""
-    clock: Clock = RealClock() if simulation.real_time else SimulatedClock()
-    path = simulation.state_file
-    state = load_state(path) if path is not None and path.exists() else fresh_state(config)
-    world = new_world(config, clock, state)
+    """Build the simulated world, as its state file left it where there is one, and keep its state at every change.
+
+    What a program that was killed left under way goes on: on the simulated clock from the moment of the kill, in real time
+    for as long as it took to come back.
+    """
+    if simulation.state_file is None:
+        yield from _lasting_as_long_as_asked(new_world(config, _clock(simulation), fresh_state(config)))
+        return
+    file = WorldFile(simulation.state_file)
+    state = load_state(simulation.state_file) if simulation.state_file.exists() else fresh_state(config)
+    clock = _clock(simulation, start_s=state.at_s, on_move=file.keep_time)
+    if clock.now_s() < state.at_s:  # the machine was restarted, and its clock with it
+        state = after_restart(state, clock.now_s())
+    file.keep(state)
+    try:
+        yield from _lasting_as_long_as_asked(new_world(config, clock, state, on_change=file.keep))
+    finally:
+        file.close()
+
+
+def _lasting_as_long_as_asked(world: World) -> Iterator[World]:
     try:
         yield world
     finally:
         world.stop_flow()
         world.stop_motion()
-        if path is not None:
-            save_state(world.state(), path)
 
 
-def new_world(config: RigConfig, clock: Clock, state: WorldState) -> World:
+def _clock(
+    simulation: Simulation,
+    *,
+    start_s: float = 0.0,
+    on_move: Callable[[float], None] = lambda now_s: None,  # noqa: ARG005
+) -> Clock:
+    return RealClock() if simulation.real_time else SimulatedClock(start_s, on_move=on_move)
+
+
+def new_world(
+    config: RigConfig,
+    clock: Clock,
+    state: WorldState,
+    *,
+    on_change: Callable[[WorldState], None] = lambda state: None,  # noqa: ARG005
+) -> World:
     """Return the world of ``config`` with a dark display."""
     tank = config.tank
     # A thin object needs no liquid: a tank that is never filled stays dry.
     size = TankSize(tank.free_volume_ml, tank.fill_ml) if tank else TankSize(1.0, 1.0)
     dark = Frame(axis="x", levels=np.zeros(config.display.columns, dtype=np.uint8))
-    return World(clock=clock, tank=size, dark_frame=dark, state=state)
+    return World(clock=clock, tank=size, dark_frame=dark, state=state, on_change=on_change)
 
 
 def fresh_state(config: RigConfig) -> WorldState:

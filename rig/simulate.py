@@ -11,6 +11,7 @@ from pathlib import Path
 
 from rich.console import Console
 
+from recon.disk import Disk
 from recon.session import TRUTH_NAME, SessionWriter
 from rig.config import RigConfig
 from rig.frames import frame_of
@@ -31,7 +32,7 @@ def simulate_session(scene: Scene, config: RigConfig, folder: Path, *, workers: 
     photos = all_photos(config)
     manifest = manifest_of(config, devices={"simulator": SIMULATED_DEVICE}, scene=scene)
     with (
-        SessionWriter.create(folder, manifest, durable=False) as writer,
+        SessionWriter.create(folder, manifest, disk=Disk(durable=False)) as writer,
         CaptureProgress(console, total_s=len(photos)) as progress,
         worker_pool(workers) as pool,
     ):

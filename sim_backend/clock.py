@@ -6,6 +6,7 @@ that a capture behaves the same on each.
 
 import threading
 import time
+from collections.abc import Callable
 
 
 class RealClock:
@@ -22,14 +23,15 @@ class RealClock:
 
 
 class SimulatedClock:
-    """A clock that moves only when somebody sleeps on it, and then without waiting."""
+    """A clock that moves only when somebody sleeps on it, and then without waiting; ``on_move`` hears the new time."""
 
-    def __init__(self) -> None:
-        self._now_s = 0.0
+    def __init__(self, start_s: float = 0.0, *, on_move: Callable[[float], None] = lambda now_s: None) -> None:  # noqa: ARG005
+        self._now_s = start_s
+        self._on_move = on_move
         self._lock = threading.Lock()
 
     def now_s(self) -> float:
-        """Seconds slept so far, by everybody together."""
+        """The start and the seconds slept since, by everybody together."""
         with self._lock:
             return self._now_s
 
@@ -38,6 +40,7 @@ class SimulatedClock:
         if duration_s > 0:
             with self._lock:
                 self._now_s += duration_s
+                self._on_move(self._now_s)
 
 
 class FastClock:

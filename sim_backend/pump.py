@@ -44,6 +44,7 @@ class SimulatedPump:
         self._world.stop_flow()
 
     def __enter__(self) -> "SimulatedPump":
+        self.stop()  # it may still run for a program that was killed
         return self
 
     def __exit__(

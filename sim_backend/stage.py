@@ -65,6 +65,7 @@ class SimulatedStage:
         self._world.stop_motion()
 
     def __enter__(self) -> "SimulatedStage":
+        self.stop()  # it may still move for a program that was killed
         return self
 
     def __exit__(

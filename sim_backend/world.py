@@ -5,13 +5,11 @@ question first brings the world up to the present of its clock. The simulated de
 therefore agree about the tank, whoever asks and whenever.
 """
 
-import json
 import threading
 from collections.abc import Callable
-from dataclasses import asdict, dataclass, fields, replace
-from pathlib import Path
+from dataclasses import dataclass, replace
+from typing import Any
 
-from drivers.errors import DeviceProtocolError
 from drivers.protocols import Clock, FlowDirection, Frame
 
 # Photos know a dry tank and a filled one. The last per cent of the volume raises the level by less than the
@@ -28,18 +26,6 @@ class TankSize:
 
 
 @dataclass(frozen=True, slots=True)
-class WorldState:
-    """What lasts while nobody looks: liquid, stage and object. ``overflow_ml`` is what ran over the tank's rim."""
-
-    tank_ml: float = 0.0
-    reservoir_ml: float = 0.0
-    overflow_ml: float = 0.0
-    stage_mm: float = 0.0
-    stage_homed: bool = False
-    object_present: bool = True
-
-
-@dataclass(frozen=True, slots=True)
 class Flow:
     """A pump that was started: it turns until its volume is moved or its longest run time is over."""
 
@@ -47,7 +33,6 @@ class Flow:
     rate_ml_per_s: float
     started_s: float
     runs_s: float
-    counted_ml: float = 0.0
 
 
 @dataclass(frozen=True, slots=True)
@@ -68,6 +53,26 @@ class Motion:
         return self.from_mm + (travelled_mm if distance_mm > 0 else -travelled_mm)
 
 
+@dataclass(frozen=True, slots=True)
+class WorldState:
+    """What lasts while nobody looks, as it was at ``at_s`` of the world's clock: liquid, stage and object.
+
+    ``overflow_ml`` is what ran over the tank's rim, ``turned_ml`` what the pump's head has turned since its last start. A
+    ``flow`` or ``motion`` under way is a law over time: it goes on whether or not a program still runs.
+    """
+
+    tank_ml: float = 0.0
+    reservoir_ml: float = 0.0
+    overflow_ml: float = 0.0
+    stage_mm: float = 0.0
+    stage_homed: bool = False
+    object_present: bool = True
+    turned_ml: float = 0.0
+    flow: Flow | None = None
+    motion: Motion | None = None
+    at_s: float = 0.0
+
+
 @dataclass(frozen=True, slots=True, eq=False)
 class Sight:
     """What the camera sees at one moment. ``disturbed``: the stage moved or the pump ran meanwhile."""
@@ -81,17 +86,26 @@ class Sight:
 
 
 class World:
-    """Liquid, stage, display and object at the present of ``clock``; every method may be called from any thread."""
+    """Liquid, stage, display and object at the present of ``clock``; every method may be called from any thread.
 
-    def __init__(self, *, clock: Clock, tank: TankSize, dark_frame: Frame, state: WorldState) -> None:
+    ``on_change`` hears the new state whenever somebody did something to liquid, stage or object.
+    """
+
+    def __init__(
+        self,
+        *,
+        clock: Clock,
+        tank: TankSize,
+        dark_frame: Frame,
+        state: WorldState,
+        on_change: Callable[[WorldState], None] = lambda state: None,  # noqa: ARG005
+    ) -> None:
         self.clock = clock
         self.tank = tank
         self.disturbed_photos = 0
         self._dark_frame = dark_frame
         self._state = state
-        self._flow: Flow | None = None
-        self._moved_ml = 0.0
-        self._motion: Motion | None = None
+        self._on_change = on_change
         self._shown: tuple[Frame, int | None] = (dark_frame, None)
         self._lock = threading.RLock()
 
@@ -100,16 +114,15 @@ class World:
     def start_flow(self, direction: FlowDirection, *, rate_ml_per_s: float, volume_ml: float, max_run_s: float) -> None:
         """Begin to pump; a flow that is under way is replaced."""
         with self._lock:
-            self.stop_flow()
-            self._moved_ml = 0.0
+            self._advance()
             runs_s = min(volume_ml / rate_ml_per_s, max_run_s)
-            self._flow = Flow(direction, rate_ml_per_s, self.clock.now_s(), runs_s)
+            self._change(flow=Flow(direction, rate_ml_per_s, self.clock.now_s(), runs_s), turned_ml=0.0)
 
     def stop_flow(self) -> None:
         """Stop the pump where it is; harmless when it stands."""
         with self._lock:
             self._advance()
-            self._flow = None
+            self._change(flow=None)
 
     def pour_by_hand(self, to_ml: float) -> None:
         """Let a person bring the tank to ``to_ml`` from the reservoir, or back into it."""
@@ -117,28 +130,33 @@ class World:
             self._advance()
             volume_ml = to_ml - self._state.tank_ml
             self._transfer("fill" if volume_ml > 0 else "drain", abs(volume_ml))
+            self._change()
 
     def flow_direction(self) -> FlowDirection | None:
         """Return which way the pump turns, or None while it stands."""
         with self._lock:
             self._advance()
-            return self._flow.direction if self._flow else None
+            return self._state.flow.direction if self._state.flow else None
 
     def moved_ml(self) -> float:
         """Return what the pump counts since its last start: turns of its head, not liquid."""
         with self._lock:
             self._advance()
-            return self._moved_ml
+            return self._state.turned_ml
+
+    def _change(self, **changes: Any) -> None:
+        """Take over what somebody did, and tell it to whom it concerns."""
+        self._state = replace(self._state, at_s=self.clock.now_s(), **changes)
+        self._on_change(self._state)
 
     def _advance(self) -> None:
-        flow = self._flow
+        flow = self._state.flow
         if flow is None:
             return
         elapsed_s = self.clock.now_s() - flow.started_s
-        moved_ml = flow.rate_ml_per_s * min(elapsed_s, flow.runs_s)
-        self._transfer(flow.direction, moved_ml - flow.counted_ml)
-        self._moved_ml = moved_ml
-        self._flow = None if elapsed_s >= flow.runs_s else replace(flow, counted_ml=moved_ml)
+        turned_ml = flow.rate_ml_per_s * min(elapsed_s, flow.runs_s)
+        self._transfer(flow.direction, turned_ml - self._state.turned_ml)
+        self._state = replace(self._state, turned_ml=turned_ml, flow=None if elapsed_s >= flow.runs_s else flow)
 
     def _transfer(self, direction: FlowDirection, volume_ml: float) -> None:
         state = self._state
@@ -161,28 +179,29 @@ class World:
     def start_motion(self, to_mm: float, *, velocity_mm_per_s: float) -> None:
         """Set the stage in motion from where it is now."""
         with self._lock:
-            self._motion = Motion(self.stage_mm(), to_mm, velocity_mm_per_s, self.clock.now_s())
+            self._change(motion=Motion(self.stage_mm(), to_mm, velocity_mm_per_s, self.clock.now_s()))
 
     def stop_motion(self) -> None:
         """Stop the stage where it is; harmless when it stands."""
         with self._lock:
-            self._state = replace(self._state, stage_mm=self.stage_mm())
-            self._motion = None
+            self._change(stage_mm=self.stage_mm(), motion=None)
 
     def stage_mm(self) -> float:
         """Return where the stage is now."""
         with self._lock:
-            return self._motion.position_mm(self.clock.now_s()) if self._motion else self._state.stage_mm
+            motion = self._state.motion
+            return motion.position_mm(self.clock.now_s()) if motion else self._state.stage_mm
 
     def is_moving(self) -> bool:
         """Tell whether the stage is still under way."""
         with self._lock:
-            return self._motion is not None and self.stage_mm() != self._motion.to_mm
+            motion = self._state.motion
+            return motion is not None and self.stage_mm() != motion.to_mm
 
     def set_homed(self, homed: bool) -> None:
         """Remember whether the stage knows where it is."""
         with self._lock:
-            self._state = replace(self._state, stage_homed=homed)
+            self._change(stage_homed=homed)
 
     # What is shown and seen
 
@@ -198,7 +217,7 @@ class World:
     def place_object(self, present: bool) -> None:
         """Put the object in its holder, or take it out."""
         with self._lock:
-            self._state = replace(self._state, object_present=present)
+            self._change(object_present=present)
 
     def is_wet(self) -> bool:
         """Tell whether the display side of the object is immersed."""
@@ -219,7 +238,7 @@ class World:
         """Return liquid, stage and object as they are now."""
         with self._lock:
             self._advance()
-            return replace(self._state, stage_mm=self.stage_mm())
+            return replace(self._state, stage_mm=self.stage_mm(), at_s=self.clock.now_s())
 
 
 def wait_until(clock: Clock, done: Callable[[], bool], *, timeout_s: float, poll_s: float = 0.05) -> bool:
@@ -231,24 +250,3 @@ def wait_until(clock: Clock, done: Callable[[], bool], *, timeout_s: float, poll
             return False
         clock.sleep_s(min(poll_s, remaining_s))
     return True
-
-
-def save_state(state: WorldState, path: Path) -> None:
-    """Write the lasting state of a simulated rig as JSON, whole or not at all."""
-    temporary = path.with_name(path.name + ".part")
-    temporary.write_text(json.dumps(asdict(state), indent=2) + "\n", encoding="utf-8")
-    temporary.replace(path)
-
-
-def load_state(path: Path) -> WorldState:
-    """Read what :func:`save_state` wrote; raises ``DeviceProtocolError`` for a file that is something else."""
-    try:
-        data = json.loads(path.read_text(encoding="utf-8"))
-    except ValueError:
-        data = None
-    names = {field.name for field in fields(WorldState)}
-    if not isinstance(data, dict) or set(data) != names:
-        raise DeviceProtocolError(
-            f"{path}: not the state of a simulated rig; name another file, or remove this one to start with an empty tank"
-        )
-    return WorldState(**data)

@@ -18,7 +18,7 @@ from rig.session_manifest import SIMULATED_DEVICE, manifest_of
 from rig.simulate import take
 from sim_backend.photography import Photographer
 from sim_backend.scene import Scene
-from sim_backend.world import load_state
+from sim_backend.world_file import load_state
 
 # Generous, because continuous integration may be slow; nothing waits that long when all is well.
 PATIENCE_S = 60.0

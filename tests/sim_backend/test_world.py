@@ -1,7 +1,9 @@
 """The simulated world: liquid is neither made nor lost, and asking does not change what happens."""
 
 import math
+from dataclasses import replace
 from pathlib import Path
+from tempfile import TemporaryDirectory
 
 import numpy as np
 import pytest
@@ -11,10 +13,12 @@ from hypothesis import strategies as st
 from drivers.errors import DeviceProtocolError
 from drivers.protocols import FlowDirection, Frame
 from sim_backend.clock import SimulatedClock
-from sim_backend.world import TankSize, World, WorldState, load_state, save_state, wait_until
+from sim_backend.world import Flow, Motion, TankSize, World, WorldState, wait_until
+from sim_backend.world_file import WorldFile, after_restart, load_state, save_state
 
 DARK = Frame(axis="x", levels=np.zeros(8, np.uint8))
 FREE_ML, FILL_ML = 6000.0, 4000.0
+finite = st.floats(allow_nan=False, allow_infinity=False)
 
 
 def world_with(*, tank_ml: float = 0.0, reservoir_ml: float = 5000.0) -> World:
@@ -111,10 +115,67 @@ def test_a_photo_taken_while_something_moves_is_counted(direction: FlowDirection
     assert world.disturbed_photos == 2
 
 
-def test_the_state_of_a_rig_survives_its_file(tmp_path: Path) -> None:
-    state = WorldState(tank_ml=12.5, reservoir_ml=3.0, overflow_ml=0.5, stage_mm=7.25, stage_homed=True)
-    save_state(state, tmp_path / "rig.json")
-    assert load_state(tmp_path / "rig.json") == state
+flow_states = st.builds(
+    Flow, direction=st.sampled_from(["fill", "drain"]), rate_ml_per_s=finite, started_s=finite, runs_s=finite
+)
+motions = st.builds(Motion, from_mm=finite, to_mm=finite, velocity_mm_per_s=finite, started_s=finite)
+states = st.builds(
+    WorldState,
+    tank_ml=finite,
+    stage_mm=finite,
+    stage_homed=st.booleans(),
+    flow=st.none() | flow_states,
+    motion=st.none() | motions,
+    at_s=finite,
+)
+
+
+@given(states, finite)
+def test_the_state_of_a_rig_survives_its_file_and_time_goes_on_in_it(state: WorldState, later_s: float) -> None:
+    with TemporaryDirectory() as folder:
+        path = Path(folder) / "rig.json"
+        save_state(state, path)
+        assert load_state(path) == state
+        file = WorldFile(path)
+        file.keep(state)
+        file.keep_time(later_s)
+        file.close()
+        assert load_state(path) == replace(state, at_s=later_s)
+
+
+@pytest.mark.parametrize("gone_s", [0.0, 12.0, 10_000.0])
+def test_a_pump_and_a_stage_under_way_go_on_when_their_program_is_gone(tmp_path: Path, gone_s: float) -> None:
+    file = WorldFile(tmp_path / "rig.json")
+    clock = SimulatedClock(on_move=file.keep_time)
+    world = World(
+        clock=clock,
+        tank=TankSize(FREE_ML, FILL_ML),
+        dark_frame=DARK,
+        state=WorldState(reservoir_ml=5000.0),
+        on_change=file.keep,
+    )
+    world.start_flow("fill", rate_ml_per_s=10.0, volume_ml=4000.0, max_run_s=60.0)
+    clock.sleep_s(7.0)
+    world.start_motion(100.0, velocity_mm_per_s=5.0)
+    clock.sleep_s(3.0)
+    # Killed here: nothing is saved on the way out.
+    left = load_state(tmp_path / "rig.json")
+    again = World(
+        clock=SimulatedClock(left.at_s + gone_s), tank=TankSize(FREE_ML, FILL_ML), dark_frame=DARK, state=left
+    )
+    assert again.state().tank_ml == pytest.approx(10.0 * min(10.0 + gone_s, 60.0))
+    assert again.stage_mm() == pytest.approx(min(5.0 * (3.0 + gone_s), 100.0))
+
+
+def test_after_a_restart_of_the_machine_what_was_under_way_has_ended() -> None:
+    flow, motion = Flow("fill", 10.0, started_s=5000.0, runs_s=60.0), Motion(0.0, 8.0, 1.0, started_s=5000.0)
+    state = WorldState(reservoir_ml=5000.0, flow=flow, motion=motion, at_s=5010.0)
+    world = World(
+        clock=SimulatedClock(1.0), tank=TankSize(FREE_ML, FILL_ML), dark_frame=DARK, state=after_restart(state, 1.0)
+    )
+    assert world.state().tank_ml == pytest.approx(600.0)
+    assert world.flow_direction() is None
+    assert world.stage_mm() == 8.0
 
 
 @pytest.mark.parametrize("text", ["", "{}", "[1, 2]", '{"tank_ml": 3}'])
