@@ -19,10 +19,11 @@ from pathlib import Path
 import numpy as np
 
 from recon.correspondence import Method, SweepResult, decode_sweep
+from recon.disk import Disk, write_whole
 from recon.manifest import Axis, CaptureSet
 from recon.metrics import PhotoQuality, SampleCurve
 from recon.noise import NoiseModel
-from recon.session import Session, write_whole
+from recon.session import Session
 
 STORE_NAME = "correspondence"
 LIBRARIES = ("numpy", "scipy", "opencv-contrib-python-headless", "simplejpeg")
@@ -111,7 +112,7 @@ def save_stored(
     packed = io.BytesIO()
     np.savez(packed, rest=np.frombuffer(json.dumps(rest).encode(), dtype=np.uint8), **arrays)
     # Not flushed to the disk one by one: what a power cut takes can be decoded again.
-    write_whole(path, packed.getvalue(), durable=False)
+    write_whole(path, packed.getvalue(), disk=Disk(durable=False))
     return path
 
 
