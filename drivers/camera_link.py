@@ -10,6 +10,7 @@ from collections.abc import Mapping
 from drivers.camera_process import CameraFault, CameraProcess, LateFault, RefusedFault, WedgedFault
 from drivers.camera_profiles import CameraProfile, profile_named, profile_of
 from drivers.errors import DeviceError, DeviceNotFoundError, DeviceProtocolError, DeviceTimeoutError
+from drivers.exposure_time import seconds_of
 from drivers.gphoto2_errors import OF_THE_LINK, USB_CLAIM, device_error
 from drivers.usb_cameras import find_usb_cameras, permission_fault, programs_holding, reset_usb_camera
 
@@ -39,6 +40,8 @@ class CameraLink:
         What the camera said of itself when it was opened; empty before.
     files_of_a_photo
         Two where the camera writes RAW and JPEG side by side.
+    exposure_s
+        For how long its shutter opens; None where it does not tell.
     """
 
     def __init__(self, address: str, *, profile: str, environment: Mapping[str, str] | None) -> None:
@@ -48,6 +51,7 @@ class CameraLink:
         self.identity: dict[str, str] = {}
         self.frozen: dict[str, str] = {}
         self.files_of_a_photo = 1
+        self.exposure_s: float | None = None
         self._chosen: CameraProfile | None = profile_named(profile) if profile else None
         self._environment = environment
         self._process: CameraProcess | None = None
@@ -79,14 +83,22 @@ class CameraLink:
                 process.call("apply", limit_s=SETTINGS_S, settings={"capturetarget": self.profile.capture_target})
             if self.frozen:
                 process.call("apply", limit_s=SETTINGS_S, settings=self.frozen)
-            self.learn_format(process.call("settings", limit_s=SETTINGS_S, names=("imageformat", "imagequality")))
+            names = ("imageformat", "imagequality", "shutterspeed")
+            self.learn(process.call("settings", limit_s=SETTINGS_S, names=names))
         except CameraFault as fault:
             process.end()
             raise self.error(fault, doing="to open it", opening=True) from fault
         return process
 
-    def learn_format(self, settings: Mapping[str, str]) -> None:
-        """Expect two files a photo where the camera writes RAW and JPEG side by side."""
+    @property
+    def exposure_over_s(self) -> float | None:
+        """How long after the camera took the command its exposure is over for certain; None where that is not known."""
+        margin_s = self.profile.exposure_margin_s
+        return None if self.exposure_s is None or margin_s is None else self.exposure_s + margin_s
+
+    def learn(self, settings: Mapping[str, str]) -> None:
+        """Learn from settings that were read back how many files a photo has, and how long its exposure takes."""
+        self.exposure_s = seconds_of(settings.get("shutterspeed", ""))
         both = any("+" in settings.get(name, "") for name in ("imageformat", "imagequality"))
         self.files_of_a_photo = 2 if both else 1
 

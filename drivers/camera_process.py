@@ -10,6 +10,7 @@ import sys
 import tempfile
 import time
 from collections.abc import Mapping
+from dataclasses import dataclass
 from multiprocessing.connection import Connection
 from typing import Any
 
@@ -41,6 +42,15 @@ class RefusedFault(CameraFault):
     """The camera cannot do what was asked; trying again will not help."""
 
 
+@dataclass(frozen=True, slots=True)
+class Question:
+    """One that was asked: its number, how long its answer may take, and until when (:func:`time.monotonic`)."""
+
+    number: int
+    wait_s: float
+    end_s: float
+
+
 class CameraProcess:
     """One process, one camera. ``environment`` adds to its environment variables."""
 
@@ -64,6 +74,7 @@ class CameraProcess:
         self._pipe = Connection(ours.detach())
         self._fresh = True
         self._questions = 0
+        self._last_answer: tuple[Any, ...] = (0,)
 
     @property
     def alive(self) -> bool:
@@ -78,35 +89,62 @@ class CameraProcess:
         CameraFault
             Of the kind that says what to do about it. After a :class:`WedgedFault` the process is gone.
         """
-        wait_s = max(limit_s, 0.0) + GRACE_S + (START_S if self._fresh else 0.0)
+        return self.answer(self.ask(operation, limit_s=limit_s, **arguments))
+
+    def ask(self, operation: str, *, limit_s: float, **arguments: Any) -> Question:
+        """Ask for one operation that takes at most ``limit_s``; only the answer to the last question is kept."""
+        limit_s = max(limit_s, 0.0)
+        wait_s = limit_s + GRACE_S + (START_S if self._fresh else 0.0)
+        self._questions += 1
         try:
-            kind, *answer = self._answer(operation, arguments, max(limit_s, 0.0), wait_s)
+            self._pipe.send((self._questions, operation, arguments, limit_s))
+        except OSError as error:
+            raise self._ended() from error
+        return Question(self._questions, wait_s, time.monotonic() + wait_s)
+
+    def wait(self, question: Question, *, within_s: float) -> bool:
+        """Wait for an answer; False when there is none yet. True as well when none can come: :meth:`answer` says why."""
+        end_s = min(time.monotonic() + within_s, question.end_s)
+        try:
+            return self._receive(question, end_s) or time.monotonic() >= question.end_s
+        except (EOFError, OSError):
+            return True
+
+    def answer(self, question: Question) -> Any:
+        """Wait for an answer and return it; raises as :meth:`call` does."""
+        try:
+            arrived = self._receive(question, question.end_s)
         except (EOFError, OSError) as error:
-            sentence = self._how_it_ended()
+            raise self._ended() from error
+        if not arrived:
             self.end()
-            raise WedgedFault(sentence) from error
+            raise WedgedFault(f"no answer within {question.wait_s:.0f} s")
         self._fresh = False
+        _number, kind, *answer = self._last_answer
         if kind == "done":
             return answer[0]
         if kind == "gphoto2":
             raise CameraFault(answer[1], code=answer[0])
         raise (LateFault if kind == "late" else RefusedFault)(answer[0])
 
-    def _answer(self, operation: str, arguments: dict[str, Any], limit_s: float, wait_s: float) -> list[Any]:
-        """Send a question and return its own answer: that of an interrupted one before it may still be under way."""
-        self._questions += 1
-        self._pipe.send((self._questions, operation, arguments, limit_s))
-        end_s = time.monotonic() + wait_s
-        while True:
+    def _receive(self, question: Question, end_s: float) -> bool:
+        """Receive answers until that of ``question`` is there: that of an interrupted one may come before it."""
+        while self._last_answer[0] != question.number:
             if not self._pipe.poll(max(0.0, end_s - time.monotonic())):
-                self.end()
-                raise WedgedFault(f"no answer within {wait_s:.0f} s")
-            number, *answer = self._pipe.recv()
-            if number == self._questions:
-                return answer
+                return False
+            self._last_answer = self._pipe.recv()
+        return True
+
+    def _ended(self) -> WedgedFault:
+        """Return what to say of a process that is gone."""
+        sentence = self._how_it_ended()
+        self.end()
+        return WedgedFault(sentence)
 
     def _how_it_ended(self) -> str:
         """Return the last line that the process wrote, which is what Python says before it ends."""
+        if self._pipe.closed:
+            return "the process that speaks to it was ended"
         with contextlib.suppress(subprocess.TimeoutExpired):
             self._process.wait(1.0)
         self._last_words.seek(0)

@@ -26,6 +26,9 @@ class CameraProfile:
         Settings that are recorded with every sweep, as far as this camera has them.
     required
         Settings that a sweep cannot do without, and the values that are right: a photo must not depend on what is in it.
+    exposure_margin_s
+        How much later than the command to expose, and the exposure's time, the shutter has closed for certain: mirror, shutter
+        and the camera's own delay. None where nobody knows; then only the photo's file tells.
     advice
         For a required setting that is wrong: what a person does about it.
     """
@@ -35,6 +38,7 @@ class CameraProfile:
     deletes: bool
     watched: tuple[str, ...]
     required: Mapping[str, tuple[str, ...]]
+    exposure_margin_s: float | None
     advice: Mapping[str, str] = field(default_factory=dict)
 
 
@@ -48,6 +52,8 @@ _ADVICE = {
     "whitebalance": "choose a fixed white balance in [camera.settings]",
     "iso": "choose a fixed ISO in [camera.settings]",
 }
+# A mirror reflex camera with its focus set opens its shutter within 0.15 s of the command (release lag); twice that.
+_REFLEX_MARGIN_S = 0.3
 _FIXED = ("Auto", "Automatic", "Auto ISO")  # what white balance and ISO must not be
 _CANON = (
     "autoexposuremode",
@@ -69,6 +75,7 @@ PROFILES: dict[str, CameraProfile] = {
             deletes=False,
             watched=("expprogram", "shutterspeed", "f-number", "iso", "whitebalance", "imagequality", "focusmode"),
             required={"expprogram": ("M",), "focusmode": ("Manual", "MF")},
+            exposure_margin_s=_REFLEX_MARGIN_S,
             advice=_ADVICE,
         ),
         CameraProfile(
@@ -78,6 +85,7 @@ PROFILES: dict[str, CameraProfile] = {
             deletes=True,
             watched=_CANON,
             required={"autoexposuremode": ("Manual",), "focusmode": ("Manual",), "drivemode": ("Single",)},
+            exposure_margin_s=_REFLEX_MARGIN_S,
             advice=_ADVICE,
         ),
         CameraProfile(
@@ -92,6 +100,7 @@ PROFILES: dict[str, CameraProfile] = {
                 "focusmode": ("Manual",),
                 "drivemode": ("Single", "Single silent", "Single: Silent shooting"),
             },
+            exposure_margin_s=_REFLEX_MARGIN_S,
             advice=_ADVICE,
         ),
         CameraProfile(
@@ -114,6 +123,7 @@ PROFILES: dict[str, CameraProfile] = {
                 "focusmode": ("Manual", "Manual (fixed)", "MF (fixed)", "MF (selection)", "MF"),
                 "autoiso": ("Off",),
             },
+            exposure_margin_s=None,  # exposure delay and mirror-up modes of these bodies add seconds
             advice=_ADVICE,
         ),
     )

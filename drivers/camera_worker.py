@@ -20,7 +20,20 @@ from drivers.open_camera import LateError, OpenCamera
 # does not hold the camera when the driver that should have ended it is gone as well.
 ORPHAN_GRACE_S = 60.0
 OPERATIONS = frozenset(
-    {"open", "reset_port", "close", "settings", "apply", "expose", "collect", "spend", "drain", "preview"}
+    {
+        "open",
+        "reset_port",
+        "close",
+        "settings",
+        "apply",
+        "expose",
+        "release",
+        "fetch",
+        "collect",
+        "spend",
+        "drain",
+        "preview",
+    }
 )
 
 

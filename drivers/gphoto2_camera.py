@@ -3,50 +3,42 @@
 Written from libgphoto2's manual and header files (API of 2.5.34). Proven against the real library with emulated cameras;
 has not met real hardware.
 
-An exposure counts as over when the camera has announced the photo's files, because no PTP camera says when its shutter
-closes. The library runs in a process of its own (:mod:`drivers.camera_process`). A camera that fails is brought back in rungs
-(:mod:`drivers.camera_link`), and the photo is asked for again after each as long as the call's time lasts: the frame on
-the display is still the same.
+The library runs in a process of its own (:mod:`drivers.camera_process`). A camera that fails is brought back in rungs
+(:mod:`drivers.camera_recovery`), and the photo is asked for again after each as long as the call's time lasts and the frame
+on the display is still the same. When an exposure counts as over is told in :mod:`drivers.camera_photos`.
 """
 
-import contextlib
-import hashlib
 import logging
-import time
 from collections.abc import Mapping
 from dataclasses import dataclass
-from pathlib import PurePosixPath
 from types import TracebackType
 from typing import Any, Self
 
 from drivers.camera_link import AWAKE_S, SETTINGS_S, CameraLink, of_the_link
-from drivers.camera_process import CameraFault, LateFault, RefusedFault
+from drivers.camera_photos import CameraPhotos
+from drivers.camera_process import CameraFault
 from drivers.camera_profiles import wrong_setting
-from drivers.errors import DeviceAlarmError, DeviceBusyError, DeviceError, DeviceProtocolError, DeviceTimeoutError
-from drivers.gphoto2_errors import BUSY
-from drivers.photo_check import fault_of_file
+from drivers.camera_recovery import CameraRecovery
+from drivers.errors import DeviceBusyError, DeviceError, DeviceProtocolError
 from drivers.protocols import DeviceInfo, DeviceKind, Photo
 
 log = logging.getLogger(__name__)
 
 PREVIEW_S = 10.0
-# How long a busy camera is left alone before it is asked again.
-BUSY_WAIT_S = 0.2
 # One attempt at a photo: the longest exposure of most bodies is 30 s, but a sweep's are a second at most.
 ATTEMPT_S = 20.0
 # An emulated camera that somebody starts by hand says so here, and is never recorded as a real one.
 EMULATED_SERIAL = "EMULATED"
-CameraFile = tuple[str, bytes, int | None]
 
 
-@dataclass(slots=True)
+@dataclass(frozen=True, slots=True)
 class CameraCounts:
     """What happened so far. ``strays`` are photos that somebody else took."""
 
-    photos: int = 0
-    strays: int = 0
-    retaken: int = 0
-    recoveries: int = 0
+    photos: int
+    strays: int
+    retaken: int
+    recoveries: int
 
 
 class Gphoto2Camera:
@@ -59,6 +51,7 @@ class Gphoto2Camera:
         profile: str = "",
         kind: DeviceKind = "real",
         attempt_s: float = ATTEMPT_S,
+        overlap: bool = False,
         environment: Mapping[str, str] | None = None,
     ) -> None:
         """Take the camera at ``address``; it is opened on entering the context.
@@ -73,17 +66,23 @@ class Gphoto2Camera:
             What the session records: ``"emulated"`` when the address is that of an emulator.
         attempt_s
             How long one attempt at a photo may take before the camera counts as stuck.
+        overlap
+            Let ``expose`` return when the shutter has closed, while the photo is still on its way. Only for a caller who
+            proves from each photo which frame it shows. Without effect on a camera whose profile has no
+            ``exposure_margin_s``, or whose exposure time cannot be read.
         environment
             More environment variables for the process of the library.
         """
-        self.counts = CameraCounts()
         self._link = CameraLink(address, profile=profile, environment=environment)
         self._kind: DeviceKind = kind
-        self._attempt_s = attempt_s
-        self._paths: list[tuple[str, str]] = []
-        self._last_hashes: frozenset[str] = frozenset()
-        self._rung = 0
-        self._suspect = False  # open it anew before the next photo
+        self._recovery = CameraRecovery(self._link)
+        self._photos = CameraPhotos(self._link, self._recovery, attempt_s=attempt_s, overlap=overlap)
+
+    @property
+    def counts(self) -> CameraCounts:
+        """What happened so far."""
+        photos = self._photos
+        return CameraCounts(photos.taken, photos.strays, photos.retaken, self._recovery.count)
 
     def __enter__(self) -> Self:
         self._link.opened()
@@ -92,7 +91,7 @@ class Gphoto2Camera:
     def __exit__(
         self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
     ) -> None:
-        self._paths = []
+        self._photos.forget()
         self._link.close()
 
     def info(self) -> DeviceInfo:
@@ -132,13 +131,15 @@ class Gphoto2Camera:
         self._asked("apply", doing="its settings", limit_s=SETTINGS_S, settings=settings)
         self._link.freeze(settings)
         found = self.settings()
-        self._link.learn_format(found)
+        self._link.learn(found)
         wrong = wrong_setting(self._link.profile, found)
         if wrong is not None:
             raise DeviceProtocolError(f"camera {self._link.address}: {wrong}")
 
     def _asked(self, operation: str, *, doing: str, limit_s: float, **arguments: Any) -> Any:
         """Ask for something that is not a photo; a broken link is mended once."""
+        if self._photos.is_coming:
+            raise DeviceBusyError(f"camera: {doing} asked while a photo is on its way; collect it first")
         try:
             return self._link.opened().call(operation, limit_s=limit_s, **arguments)
         except CameraFault as fault:
@@ -153,7 +154,7 @@ class Gphoto2Camera:
     # Photos
 
     def expose(self, *, timeout_s: float) -> None:
-        """Take one photo; returns when the camera has announced its file.
+        """Take one photo; returns when its exposure is over and the display may change.
 
         Raises
         ------
@@ -164,151 +165,35 @@ class Gphoto2Camera:
         DeviceAlarmError
             When nothing that a program can do brings the camera back, or its card is full.
         """
-        if self._paths:
-            raise DeviceBusyError("camera: a second photo asked before the first was collected; collect it first")
-        end_s = time.monotonic() + timeout_s
-        while True:
-            try:
-                self._paths = self._exposed(min(self._attempt_s, end_s - time.monotonic()))
-                self._rung = 0
-                return
-            except CameraFault as fault:
-                if isinstance(fault, RefusedFault) or not (of_the_link(fault) or fault.code == BUSY):
-                    raise self._link.error(fault, doing="a photo") from fault
-                if time.monotonic() >= end_s:
-                    raise self._out_of_time(fault, timeout_s=timeout_s) from fault
-                self._climb(fault, end_s)
-
-    def _out_of_time(self, fault: CameraFault, *, timeout_s: float) -> DeviceError:
-        if fault.code == BUSY:
-            return self._link.error(fault, doing="a photo")
-        self._suspect = not isinstance(fault, LateFault)
-        return DeviceTimeoutError(f"camera {self._link.address}: a photo within {timeout_s:g} s asked, {fault}")
-
-    def _exposed(self, limit_s: float) -> list[tuple[str, str]]:
-        """Take photos until there is one that came alone."""
-        end_s = time.monotonic() + limit_s
-        if self._suspect:
-            self._link.close()
-            self._suspect = False
-        process = self._link.opened()
-        while True:
-            taken = process.call(
-                "expose",
-                limit_s=end_s - time.monotonic(),
-                files=self._link.files_of_a_photo,
-                deletes=self._link.profile.deletes,
-            )
-            self.counts.strays += taken["strays"]
-            if not taken["mixed"]:
-                paths: list[tuple[str, str]] = taken["paths"]
-                return paths
-            self.counts.retaken += 1
-            log.warning("camera: somebody took a photo at the same moment; both are left out and one is taken anew")
-
-    def _climb(self, fault: CameraFault, end_s: float) -> None:
-        """Bring the camera back by the next rung that works; raises when there is none left, or no time."""
-        rungs = self._link.rungs
-        while self._rung < len(rungs):
-            rung, self._rung = self._rung, self._rung + 1
-            log.warning("camera: %s; %s", fault, rungs[rung])
-            self.counts.recoveries += 1
-            try:
-                self._link.recover(rung)
-                return
-            except DeviceError as error:
-                fault = CameraFault(str(error))
-            if time.monotonic() >= end_s:
-                self._suspect = True
-                raise DeviceTimeoutError(f"camera {self._link.address}: a photo asked, {fault}")
-        if fault.code == BUSY:
-            # It answers, so it is not lost: what is left is to wait, as long as the caller allows.
-            time.sleep(min(BUSY_WAIT_S, max(end_s - time.monotonic(), 0.0)))
-            return
-        self._rung = 0
-        self._link.close()
-        raise DeviceAlarmError(
-            f"camera {self._link.address}: a photo asked, it does not work any more ({fault}); tried: "
-            f"{', '.join(rungs)}. Switch it off and on, or take its battery out for a moment, then resume"
-        )
+        self._photos.expose(timeout_s=timeout_s)
 
     def collect(self, *, timeout_s: float) -> tuple[Photo, ...]:
-        """Download the photo of the last ``expose``; two files for RAW and JPEG, each checked to be whole.
+        """Hand over the photo of the last ``expose``; two files for RAW and JPEG, each checked to be whole.
 
         Raises
         ------
         DeviceProtocolError
             When no photo was taken; when a file is damaged or repeats the photo before; when somebody else took a photo
-            meanwhile, so that it is not certain which is ours. Expose again, with the frame shown anew.
+            meanwhile, so that it is not certain which is ours; with ``overlap``, when no photo came. Expose again, with
+            the frame shown anew.
         DeviceTimeoutError
             When the download took too long; it may be asked for again.
+        DeviceAlarmError
+            When nothing that a program can do brings the camera back.
         """
-        if not self._paths:
-            raise DeviceProtocolError("camera: a photo was asked for, but none was taken; expose first")
-        end_s = time.monotonic() + timeout_s
-        files, strays = self._downloaded(end_s, timeout_s)
-        fault = self._fault_of(files)
-        if fault is not None:  # damaged on the way, perhaps: the camera still has it
-            log.warning("camera: %s; it is downloaded again", fault)
-            files, more_strays = self._downloaded(end_s, timeout_s)
-            strays += more_strays
-            fault = self._fault_of(files)
-        paths, self._paths = self._paths, []
-        self._release(paths)
-        self.counts.strays += strays
-        if strays:
-            fault = f"somebody took {strays} more meanwhile, so it is not certain which is the right one"
-        if fault is not None:
-            raise DeviceProtocolError(
-                f"camera {self._link.address}: a photo asked, {fault}; expose again, or resume the capture"
-            )
-        self._last_hashes = frozenset(hashlib.sha256(data).hexdigest() for _name, data, _size in files)
-        self.counts.photos += 1
-        return tuple(Photo(data, PurePosixPath(name).suffix.lower(), name) for name, data, _size in files)
-
-    def _downloaded(self, end_s: float, timeout_s: float) -> tuple[list[CameraFile], int]:
-        """Return the files of the last photo, through one re-opening of the camera where that is needed."""
-        for mended in (False, True):
-            try:
-                answer = self._link.opened().call("collect", limit_s=end_s - time.monotonic(), paths=self._paths)
-                return answer["files"], answer["strays"]
-            except LateFault as fault:
-                raise DeviceTimeoutError(
-                    f"camera {self._link.address}: a download within {timeout_s:g} s asked, {fault}"
-                ) from fault
-            except CameraFault as fault:
-                if mended or not of_the_link(fault) or time.monotonic() >= end_s:
-                    self._paths = []
-                    self._suspect = True
-                    raise self._link.error(fault, doing="a download") from fault
-                log.warning("camera: %s; opened again for its download", fault)
-                self.counts.recoveries += 1
-                self._link.close()
-        raise AssertionError("both attempts end above")
-
-    def _release(self, paths: list[tuple[str, str]]) -> None:
-        if self._link.profile.deletes:
-            with contextlib.suppress(CameraFault, DeviceError):  # it fails again, and is mended, with the next photo
-                self._link.opened().call("spend", limit_s=AWAKE_S, paths=paths)
-
-    def _fault_of(self, files: list[CameraFile]) -> str | None:
-        for name, data, announced_bytes in files:
-            fault = fault_of_file(data, suffix=PurePosixPath(name).suffix, announced_bytes=announced_bytes)
-            if fault is not None:
-                return f"its file {name} {fault}"
-            if hashlib.sha256(data).hexdigest() in self._last_hashes:
-                return f"its file {name} is byte for byte the photo before"
-        return None
+        return self._photos.collect(timeout_s=timeout_s)
 
     # Between photos
 
     def keep_awake(self) -> None:
         """Let the camera talk, which keeps it from falling asleep. A failure is mended with the next photo."""
+        if self._photos.is_coming:
+            return  # it talks already
         try:
-            self.counts.strays += self._link.opened().call("drain", limit_s=AWAKE_S)
+            self._photos.strays += self._link.opened().call("drain", limit_s=AWAKE_S)
         except (CameraFault, DeviceError) as fault:
             log.warning("camera: did not answer between two photos (%s); it is opened again for the next one", fault)
-            self._suspect = True
+            self._recovery.suspect = True
 
     def live_view(self) -> bytes:
         """Return one frame of live view, a small JPEG; ``DeviceProtocolError`` where the camera has none."""

@@ -124,16 +124,37 @@ class OpenCamera:
     # Photos
 
     def expose(self, *, files: int, deletes: bool) -> dict[str, Any]:
-        """Trigger, and wait until the camera has announced the photo's files: then its shutter has closed.
+        """Take a photo and wait until the camera has announced its files: then its shutter has closed.
 
         Returns ``paths``; ``strays``, how many photos were found that nobody here asked for; and ``mixed``, whether one of
         these came together with the photo, so that neither can be trusted.
         """
+        strays = self.release(files=files, deletes=deletes)
+        announced = self._announced(files, deletes)
+        return {**announced, "strays": strays + announced["strays"]}
+
+    def release(self, *, files: int, deletes: bool) -> int:
+        """Take a photo; returns when the camera has accepted the command, and how many strays there were before."""
         self._wait_for_debt(deletes)
         strays = self._discard(self._drain(), deletes)
         self._delete_spent()
         self._trigger()
         self._owed = files
+        return strays
+
+    def fetch(self, *, files: int, deletes: bool) -> dict[str, Any]:
+        """Wait for the files of a photo that was released, and download them: what ``expose`` and ``collect`` return.
+
+        ``strays`` came before the files were complete, ``late_strays`` afterwards.
+        """
+        announced = self._announced(files, deletes)
+        if announced["mixed"]:
+            return {**announced, "files": [], "late_strays": 0}
+        collected = self.collect(paths=announced["paths"])
+        return {**announced, "files": collected["files"], "late_strays": collected["strays"]}
+
+    def _announced(self, files: int, deletes: bool) -> dict[str, Any]:
+        """Wait for the files of a photo that was released."""
         found: list[Path] = []
         while len(found) < files:
             found += self._next_files(self._end_s)
@@ -143,8 +164,7 @@ class OpenCamera:
             self._discard(found, deletes)
             raise LateError("the photo came later than that; allow more time")
         mixed = len({name.rpartition(".")[2].lower() for _folder, name in found}) < len(found)
-        if mixed:
-            strays += self._discard(found, deletes) - files
+        strays = self._discard(found, deletes) - files if mixed else 0
         return {"paths": [] if mixed else found, "strays": strays, "mixed": mixed}
 
     def _trigger(self) -> None:

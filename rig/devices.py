@@ -308,7 +308,9 @@ def real_camera(config: RigConfig, *, kind: DeviceKind = "real") -> Camera:
         )
     driver, _, address = config.devices.camera.partition(":")
     if driver == "gphoto2" and address.startswith(("usb:", "ptpip:")):
-        return Gphoto2Camera(address, profile=config.devices.camera_profile, kind=kind)
+        # Each photo proves its frame: then the next one may be shown before this one has arrived.
+        overlap = config.frame_tag is not None and config.frame_tag.seen_px is not None
+        return Gphoto2Camera(address, profile=config.devices.camera_profile, kind=kind, overlap=overlap)
     raise ConfigError(
         f"devices.camera: no driver answers to {config.devices.camera!r}; write gphoto2:usb: or gphoto2:ptpip:HOST, "
         "or rehearse with --sim"

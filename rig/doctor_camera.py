@@ -5,6 +5,7 @@ from collections.abc import Iterator
 from pathlib import Path
 from typing import Protocol, runtime_checkable
 
+from drivers.exposure_time import seconds_of
 from drivers.protocols import Camera, Photo
 from drivers.usb_cameras import UsbCamera, find_usb_cameras, permission_fault, programs_holding
 from recon.photos import decode_grey
@@ -118,15 +119,6 @@ def _settings(camera: Camera, config: RigConfig) -> Iterator[Finding]:
             f"the exposure of {found['shutterspeed']} s is shorter than two refreshes of a 60 Hz display",
             "choose a multiple of the display's refresh period, at least two of them, and close the aperture instead",
         )
-
-
-def seconds_of(shutterspeed: str) -> float | None:
-    """Read a shutter speed as cameras write it, ``1/4``, ``0.3`` or ``0.25s``; None for anything else."""
-    over, slash, under = shutterspeed.removesuffix("s").strip().partition("/")
-    try:
-        return float(over) / float(under) if slash else float(over)
-    except (ValueError, ZeroDivisionError):
-        return None
 
 
 def _photos(camera: Camera, config: RigConfig, *, count: int) -> Iterator[Finding]:

@@ -12,8 +12,8 @@ from dataclasses import dataclass
 from drivers.errors import DeviceError
 from rig.config import DeviceAddresses, RigConfig
 from sim_backend.browser_tablet import BrowserTablet
-from sim_backend.camera import TakesPhotos
 from sim_backend.chromium import Chromium
+from sim_backend.exposure import TakesPhotos
 from sim_backend.grbl_emulator import GrblEmulator
 from sim_backend.new_era_emulator import NewEraEmulator
 from sim_backend.ptpip.process import EmulatedCamera, emulate_camera
@@ -84,11 +84,29 @@ class TabletPhotos:
         self._photos = WorldPhotos(world, optics)
         self.failure: DeviceError | None = None
 
+    def open_shutter(self) -> None:
+        """Begin to see."""
+        self._look()
+        self._photos.open_shutter()
+
+    def close_shutter(self) -> None:
+        """End to see."""
+        self._look()
+        self._photos.close_shutter()
+
+    def develop(self) -> bytes:
+        """Return the file of what was seen."""
+        return self._photos.develop()
+
     def __call__(self) -> bytes:
-        """Return the file of a photo taken now."""
+        """Return the file of a photo that takes no time."""
+        self._look()
+        return self._photos()
+
+    def _look(self) -> None:
+        """Put into the world what the screen shows now."""
         try:
             self._world.show(self._tablet.frame(), frame_id=None)
         except DeviceError as error:
             self.failure = error
             raise ConnectionError(str(error)) from error  # to the camera, its owner is gone
-        return self._photos()

@@ -1,23 +1,14 @@
-"""A simulated camera: it photographs what the world shows at the moment of its exposure."""
+"""A simulated camera: it photographs what the world shows while its shutter is open."""
 
 from types import TracebackType
-from typing import Protocol, runtime_checkable
 
 from drivers.errors import DeviceBusyError, DeviceProtocolError, DeviceTimeoutError
-from drivers.protocols import DeviceInfo, Frame, Photo
-from sim_backend.world import Sight, World
+from drivers.protocols import DeviceInfo, Photo
+from sim_backend.exposure import TakesPhotos, WorldExposure
+from sim_backend.world import World
 
 # What can be set on this body. A simulated exposure does not depend on it: the scene fixes how bright a photo is.
 DEFAULT_SETTINGS = {"shutter": "1/4", "aperture": "8", "iso": "100", "white_balance": "daylight", "focus": "manual"}
-
-
-@runtime_checkable
-class TakesPhotos(Protocol):
-    """The optics behind the camera: :class:`sim_backend.photography.Photographer`, or a stand-in."""
-
-    def photograph(self, frame: Frame, *, stage_position_mm: float, wet: bool, object_present: bool = True) -> bytes:
-        """Return the JPEG file of one photo."""
-        ...
 
 
 class SimulatedCamera:
@@ -25,11 +16,11 @@ class SimulatedCamera:
 
     def __init__(self, world: World, optics: TakesPhotos, *, exposure_s: float, download_s: float) -> None:
         self._world = world
-        self._optics = optics
+        self._exposure = WorldExposure(world, optics)
         self._exposure_s = exposure_s
         self._download_s = download_s
         self._settings = dict(DEFAULT_SETTINGS)
-        self._taken: Sight | None = None
+        self._exposed = False
         self._count = 0
 
     def info(self) -> DeviceInfo:
@@ -51,23 +42,20 @@ class SimulatedCamera:
 
     def expose(self, *, timeout_s: float) -> None:
         """Take one photo; the display may change when this returns."""
-        if self._taken is not None:
+        if self._exposed:
             raise DeviceBusyError("camera: a second photo asked before the first was collected; collect it first")
+        self._exposure.open_shutter()
         self._wait(self._exposure_s, timeout_s=timeout_s, what="the exposure")
-        self._taken = self._world.look()
+        self._exposure.close_shutter()
+        self._exposed = True
 
     def collect(self, *, timeout_s: float) -> tuple[Photo, ...]:
         """Develop and hand over the photo of the last ``expose``."""
-        if self._taken is None:
+        if not self._exposed:
             raise DeviceProtocolError("camera: a photo was asked for, but none was taken; expose first")
         self._wait(self._download_s, timeout_s=timeout_s, what="the download")
-        sight, self._taken = self._taken, None
-        data = self._optics.photograph(
-            sight.frame,
-            stage_position_mm=sight.stage_position_mm,
-            wet=sight.wet,
-            object_present=sight.object_present,
-        )
+        self._exposed = False
+        data = self._exposure.develop()
         self._count += 1
         return (Photo(data, ".jpg", f"sim{self._count:05d}.jpg"),)
 
@@ -85,4 +73,4 @@ class SimulatedCamera:
     def __exit__(
         self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
     ) -> None:
-        self._taken = None
+        self._exposed = False

@@ -11,6 +11,7 @@ from dataclasses import dataclass, replace
 from typing import Any
 
 from drivers.protocols import Clock, FlowDirection, Frame
+from sim_backend.frame_equality import same_frame
 
 # Photos know a dry tank and a filled one. The last per cent of the volume raises the level by less than the
 # meniscus is high, so that rounding in a pump's volume does not keep the object dry.
@@ -75,7 +76,10 @@ class WorldState:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Sight:
-    """What the camera sees at one moment. ``disturbed``: the stage moved or the pump ran meanwhile."""
+    """What the camera sees at one moment.
+
+    ``disturbed``: the stage moved, the pump ran, or the display changed while the shutter was open.
+    """
 
     frame: Frame
     frame_id: int | None
@@ -225,11 +229,20 @@ class World:
             self._advance()
             return self._state.tank_ml >= WET_FRACTION * self.tank.fill_ml
 
-    def look(self) -> Sight:
-        """Return what a camera sees now, and count the look if something moved meanwhile."""
+    def shown(self) -> Frame:
+        """Return what is on the glass."""
+        with self._lock:
+            return self._shown[0]
+
+    def look(self, *, opened_on: Frame | None = None) -> Sight:
+        """Return what a camera sees now, and count the look if something moved meanwhile.
+
+        ``opened_on`` is what was on the glass when its shutter opened.
+        """
         with self._lock:
             frame, frame_id = self._shown
-            disturbed = self.is_moving() or self.flow_direction() is not None
+            changed = opened_on is not None and not same_frame(opened_on, frame)
+            disturbed = changed or self.is_moving() or self.flow_direction() is not None
             self.disturbed_photos += disturbed
             state = self._state
             return Sight(frame, frame_id, self.stage_mm(), self.is_wet(), state.object_present, disturbed)

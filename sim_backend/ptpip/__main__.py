@@ -25,7 +25,9 @@ def main() -> int:
         "--folder", type=Path, help="photograph the JPEG files of this folder in turn, instead of drawn ones"
     )
     parser.add_argument("--exposure-s", type=float, default=0.25, help="how long the shutter is open  [default: 0.25]")
-    parser.add_argument("--download-s", type=float, default=0.0, help="how long a download takes  [default: 0]")
+    parser.add_argument(
+        "--download-s", type=float, default=0.0, help="how long it then takes to the file  [default: 0]"
+    )
     given = parser.parse_args()
     try:
         photographs = photos_of_folder(given.folder) if given.folder else drawn_photos()

@@ -2,6 +2,9 @@
 
 A subclass says what the body is (``describe``) and adds the operations of its maker. Operation codes, response codes and
 parameters are those of PIMA 15740, sections 10 and 11.
+
+A photo has three parts: for ``exposure_s`` the shutter is open, then the body reads its sensor out and is busy, then the file
+travels. The last two take ``download_s`` together; only the first one sees the scene.
 """
 
 import threading
@@ -11,6 +14,7 @@ from dataclasses import dataclass, replace
 
 from sim_backend.ptpip.datasets import ASSOCIATION, JPEG, BodyInfo, Property, StoredObject, array_u32, storage_info
 from sim_backend.ptpip.faults import Faults
+from sim_backend.ptpip.sources import Photographs, as_exposing
 
 STORAGE = 0x0001_0001
 WHOLE_TREE, ROOT_ONLY = 0x0000_0000, 0xFFFF_FFFF
@@ -32,10 +36,8 @@ INVALID_PROPERTY_VALUE = 0x201C
 # What is left on a card with room: four gigabytes, and more photos than a capture takes.
 CARD_BYTES = 4_000_000_000
 CARD_PHOTOS = 9999
-
-
-# Where photos come from: called when the shutter closes, returns the whole file.
-Photographs = Callable[[], bytes]
+# Of the time from the closing of the shutter to the whole file, the share that passes before the photo is announced.
+READOUT_SHARE = 0.5
 
 
 @dataclass(frozen=True, slots=True)
@@ -77,9 +79,10 @@ class Body:
         self.tell: Callable[[int, tuple[int, ...]], None] = lambda _code, _parameters: None
         self.photos_taken = 0
         self.exposure_s = exposure_s
-        self.download_s = download_s
+        self.readout_s = READOUT_SHARE * download_s
+        self.transfer_s = download_s - self.readout_s
         self.properties: dict[int, Property] = {}
-        self._photographs = photographs
+        self._photographs = as_exposing(photographs)
         self._last_photo: bytes | None = None
         self._lock = threading.RLock()
         self._session_open = False
@@ -144,17 +147,30 @@ class Body:
         """Tell whether the next photo goes to the card, rather than straight to the host."""
         return True
 
-    def take_photo(self) -> bytes:
-        """Return the file of one photo taken now; a stale one repeats the photo before."""
+    def open_and_close_shutter(self) -> float:
+        """See the scene for ``exposure_s``; return when the shutter closed, a time of :func:`time.monotonic`."""
+        end_s = time.monotonic() + self.exposure_s
+        if self.exposure_s > 0:
+            self._photographs.open_shutter()
+        time.sleep(max(0.0, end_s - time.monotonic()))
+        self._photographs.close_shutter()
+        return time.monotonic()
+
+    def develop(self) -> bytes:
+        """Return the file of what was seen while the shutter was open."""
+        return self._kept(self._photographs.develop)
+
+    def _kept(self, new_photo: Callable[[], bytes]) -> bytes:
+        """Return the file of one photo; a stale one repeats the photo before."""
         with self._lock:
-            fresh = self._photographs()
+            fresh = new_photo()
             if self.faults.happens("stale") and self._last_photo is not None:
                 fresh = self._last_photo
             self._last_photo = fresh
             self.photos_taken += 1
             return fresh
 
-    def look(self) -> bytes:
+    def live_view(self) -> bytes:
         """Return what the sensor sees now, without taking a photo."""
         return self._photographs()
 
@@ -171,7 +187,7 @@ class Body:
 
     def press_shutter_by_hand(self) -> None:
         """Take a photo that nobody on the wire asked for."""
-        self.announce(self.store(self.take_photo()))
+        self.announce(self.store(self._kept(self._photographs)))
 
     def announce(self, stored: StoredObject) -> None:
         """Tell the host that a photo was added."""
@@ -227,7 +243,7 @@ class Body:
         stored = self._objects.get(request.parameter(0))
         if stored is None:
             return Reply(INVALID_HANDLE)
-        time.sleep(self.download_s)
+        time.sleep(self.transfer_s)
         return Reply(data=self.cut_short(stored.data))
 
     def cut_short(self, data: bytes) -> bytes:
@@ -240,6 +256,7 @@ class Body:
             return Reply(INVALID_HANDLE)
         start, count = request.parameter(1), request.parameter(2)
         part = stored.data[start : start + count]
+        time.sleep(self.transfer_s * len(part) / max(len(stored.data), 1))
         return Reply(parameters=(len(part),), data=part)
 
     def _delete_object(self, request: Request) -> Reply:

@@ -18,11 +18,11 @@ from sim_backend.ptpip.body import (
     PROPERTY_NOT_SUPPORTED,
     STORAGE,
     Body,
-    Photographs,
     Reply,
     Request,
 )
 from sim_backend.ptpip.datasets import UINT32, BodyInfo, Property, StoredObject, array_u32
+from sim_backend.ptpip.sources import Photographs
 
 REMOTE_RELEASE = 0x910F
 OBJECT_ADDED_RECORD, REQUEST_TRANSFER, VALUE_CHANGED, CHOICES_CHANGED, CAMERA_STATUS = (
@@ -69,6 +69,7 @@ class CanonEos40D(Body):
         self._image_format: tuple[int, ...] = LARGE_FINE_JPEG
         self._records: list[bytes] = []
         self._records_lock = threading.Lock()
+        self._reading_out = threading.Lock()
         self.add_operations(
             {
                 0x9101: lambda _request: Reply(data=array_u32([STORAGE])),
@@ -129,18 +130,34 @@ class CanonEos40D(Body):
 
     def _remote_release(self, _request: Request) -> Reply:
         """Answer when the shutter has closed; the result in the response's parameter is 0 for a photo taken."""
+        if not self._reading_out.acquire(blocking=False):
+            return Reply(DEVICE_BUSY)
         self._queue(CAMERA_STATUS, struct.pack("<I", 1))
-        time.sleep(self.exposure_s)
-        if self.faults.happens("lost"):
-            return Reply(parameters=(0,))
-        if self.faults.happens("stray_in_capture"):
-            self.press_shutter_by_hand()
-        data = self.take_photo()
-        if self._image_format == RAW_AND_LARGE_FINE_JPEG:
-            self.announce(self.store(TIFF_HEADER + data, kind=RAW))
-        self.announce(self.store(data if self.writes_to_card() else self.cut_short(data)))
-        self._queue(CAMERA_STATUS, struct.pack("<I", 0))
+        closed_s = self.open_and_close_shutter()
+        if self.readout_s > 0:
+            threading.Thread(target=self._read_out, args=(closed_s,), name="readout", daemon=True).start()
+        else:
+            self._read_out(closed_s)
         return Reply(parameters=(0,))
+
+    def _read_out(self, closed_s: float) -> None:
+        """Make the files of what was seen, and tell of them once the sensor is read out."""
+        stored: list[StoredObject] = []
+        try:
+            if self.faults.happens("lost"):
+                return
+            if self.faults.happens("stray_in_capture"):
+                self.press_shutter_by_hand()
+            data = self.develop()
+            stored = [self.store(data if self.writes_to_card() else self.cut_short(data))]
+            if self._image_format == RAW_AND_LARGE_FINE_JPEG:
+                stored.insert(0, self.store(TIFF_HEADER + data, kind=RAW))
+            time.sleep(max(0.0, closed_s + self.readout_s - time.monotonic()))
+        finally:
+            self._reading_out.release()
+            for file in stored:
+                self.announce(file)
+            self._queue(CAMERA_STATUS, struct.pack("<I", 0))
 
     # Settings
 
@@ -220,5 +237,5 @@ class CanonEos40D(Body):
         """Return one live-view frame: records ``u32 size, u32 type`` of which type 1 is a JPEG."""
         if self.properties[VIEWFINDER_OUTPUT].value == 0:
             return Reply(DEVICE_BUSY)
-        picture = self.look()
+        picture = self.live_view()
         return Reply(data=struct.pack("<II", 8 + len(picture), VIEWFINDER_JPEG) + picture)

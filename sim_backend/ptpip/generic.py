@@ -14,11 +14,11 @@ from sim_backend.ptpip.body import (
     OBJECT_ADDED,
     PROPERTY_NOT_SUPPORTED,
     Body,
-    Photographs,
     Reply,
     Request,
 )
 from sim_backend.ptpip.datasets import UINT8, UINT16, UINT32, BodyInfo, Property
+from sim_backend.ptpip.sources import Photographs
 
 INITIATE_CAPTURE = 0x100E
 PROPERTIES = (
@@ -72,12 +72,13 @@ class GenericBody(Body):
 
     def _expose(self) -> None:
         try:
-            time.sleep(self.exposure_s)
+            closed_s = self.open_and_close_shutter()
             if self.faults.happens("lost"):
                 return
             if self.faults.happens("stray_in_capture"):
                 self.press_shutter_by_hand()
-            stored = self.store(self.take_photo())
+            stored = self.store(self.develop())
+            time.sleep(max(0.0, closed_s + self.readout_s - time.monotonic()))
         finally:
             self._exposing.release()
         self.announce(stored)

@@ -21,6 +21,7 @@ from sim_backend.ptpip.body import Body
 from sim_backend.ptpip.canon_eos import CanonEos40D
 from sim_backend.ptpip.generic import GenericBody
 from sim_backend.ptpip.responder import Responder
+from sim_backend.ptpip.sources import Photographs, as_exposing
 
 Model = Literal["generic", "canon-eos-40d"]
 MODELS: tuple[str, ...] = get_args(Model)
@@ -69,18 +70,19 @@ class EmulatedCamera:
 
 @contextmanager
 def emulate_camera(
-    photographs: Callable[[], bytes], *, model: Model = "generic", exposure_s: float = 0.0, download_s: float = 0.0
+    photographs: Photographs, *, model: Model = "generic", exposure_s: float = 0.0, download_s: float = 0.0
 ) -> Iterator[EmulatedCamera]:
     """Run a camera in another process for as long as the context lasts.
 
     Parameters
     ----------
     photographs
-        Called on a thread of this process when the camera's shutter closes; returns the whole file of the photo.
+        Called on a thread of this process for each photo; returns its whole file. One that is
+        :class:`sim_backend.ptpip.sources.Exposing` is told when the shutter opens and closes.
     model
         Which camera to emulate.
     exposure_s, download_s
-        How long the shutter is open, and how long a download from the card takes.
+        How long the shutter is open, and how long it then takes until the host has the photo.
 
     Raises
     ------
@@ -128,11 +130,21 @@ def _pipe() -> tuple[Connection, Connection]:
     return Connection(ours.detach()), Connection(theirs.detach())
 
 
-def _serve_photos(photos: Connection, photographs: Callable[[], bytes]) -> None:
+def _serve_photos(photos: Connection, photographs: Photographs) -> None:
+    exposing = as_exposing(photographs)
     while True:
         try:
-            photos.recv()
-            photos.send_bytes(photographs())
+            match photos.recv():
+                case "open":
+                    exposing.open_shutter()
+                    photos.send_bytes(b"")
+                case "close":
+                    exposing.close_shutter()
+                    photos.send_bytes(b"")
+                case "develop":
+                    photos.send_bytes(exposing.develop())
+                case _:
+                    photos.send_bytes(exposing())
         except (EOFError, OSError):
             return
 
@@ -144,10 +156,25 @@ class OwnersPhotos:
         self._photos = photos
         self._lock = threading.Lock()
 
+    def open_shutter(self) -> None:
+        """Let the owner see from now on."""
+        self._ask("open")
+
+    def close_shutter(self) -> None:
+        """Let the owner see no longer."""
+        self._ask("close")
+
+    def develop(self) -> bytes:
+        """Return the file of what the owner saw."""
+        return self._ask("develop")
+
     def __call__(self) -> bytes:
         """Return the file of a photo taken now."""
+        return self._ask("photograph")
+
+    def _ask(self, question: str) -> bytes:
         with self._lock:
-            self._photos.send("photograph")
+            self._photos.send(question)
             return self._photos.recv_bytes()
 
 

@@ -1,8 +1,12 @@
-"""Photos for a camera that runs by itself: those of a folder, in turn, or drawn ones that carry their number."""
+"""Where an emulated camera's photos come from.
+
+A camera that runs by itself has those of a folder, in turn, or drawn ones that carry their number.
+"""
 
 from collections.abc import Callable
 from itertools import count, cycle
 from pathlib import Path
+from typing import Protocol, runtime_checkable
 
 import cv2
 import numpy as np
@@ -11,6 +15,55 @@ import simplejpeg
 from drivers.errors import DeviceNotFoundError
 
 DRAWN_COLUMNS, DRAWN_ROWS = 648, 432
+# Returns the whole file of a photo that takes no time.
+Photographs = Callable[[], bytes]
+
+
+@runtime_checkable
+class Exposing(Protocol):
+    """Photographs that know how long their shutter is open: a frame that changes meanwhile is in the photo twice."""
+
+    def open_shutter(self) -> None:
+        """Begin to see."""
+        ...
+
+    def close_shutter(self) -> None:
+        """End to see; what is shown may change when this returns."""
+        ...
+
+    def develop(self) -> bytes:
+        """Return the file of what was seen."""
+        ...
+
+    def __call__(self) -> bytes:
+        """Return the file of a photo that takes no time, whatever an exposure under way sees."""
+        ...
+
+
+class Instant:
+    """Makes photos that take no time of a function that returns them."""
+
+    def __init__(self, photographs: Photographs) -> None:
+        self._photographs = photographs
+
+    def open_shutter(self) -> None:
+        """There is nothing that could change."""
+
+    def close_shutter(self) -> None:
+        """There is nothing that could change."""
+
+    def develop(self) -> bytes:
+        """Return the file of the next photo."""
+        return self._photographs()
+
+    def __call__(self) -> bytes:
+        """Return the file of the next photo."""
+        return self._photographs()
+
+
+def as_exposing(photographs: Photographs) -> Exposing:
+    """Return ``photographs`` itself where it knows of its shutter."""
+    return photographs if isinstance(photographs, Exposing) else Instant(photographs)
 
 
 def photos_of_folder(folder: Path) -> Callable[[], bytes]:

@@ -3,7 +3,7 @@
 import struct
 from itertools import count
 
-from sim_backend.camera import TakesPhotos
+from sim_backend.exposure import TakesPhotos, WorldExposure
 from sim_backend.world import World
 
 COMMENT = b"\xff\xfe"
@@ -11,26 +11,30 @@ START_OF_IMAGE, APPLICATION_DATA = b"\xff\xd8", b"\xff\xe0"
 
 
 class WorldPhotos:
-    """Photographs ``world`` through ``optics`` at the moment of each call.
+    """Photographs ``world`` through ``optics``; it is what :func:`sim_backend.ptpip.process.emulate_camera` asks for photos.
 
-    It is what :func:`sim_backend.ptpip.process.emulate_camera` asks for photos.
+    Implements :class:`sim_backend.ptpip.sources.Exposing`.
     """
 
     def __init__(self, world: World, optics: TakesPhotos) -> None:
-        self._world = world
-        self._optics = optics
+        self._exposure = WorldExposure(world, optics)
         self._numbers = count(1)
 
+    def open_shutter(self) -> None:
+        """Begin to see."""
+        self._exposure.open_shutter()
+
+    def close_shutter(self) -> None:
+        """End to see."""
+        self._exposure.close_shutter()
+
+    def develop(self) -> bytes:
+        """Return the file of what was seen."""
+        return numbered(self._exposure.develop(), next(self._numbers))
+
     def __call__(self) -> bytes:
-        """Return the file of a photo taken now."""
-        sight = self._world.look()
-        data = self._optics.photograph(
-            sight.frame,
-            stage_position_mm=sight.stage_position_mm,
-            wet=sight.wet,
-            object_present=sight.object_present,
-        )
-        return numbered(data, next(self._numbers))
+        """Return the file of a photo that takes no time."""
+        return numbered(self._exposure.snap(), next(self._numbers))
 
 
 def numbered(data: bytes, number: int) -> bytes:

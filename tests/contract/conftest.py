@@ -29,7 +29,7 @@ from sim_backend.display import SimulatedDisplay
 from sim_backend.grbl_emulator import GrblEmulator
 from sim_backend.new_era_emulator import NewEraEmulator
 from sim_backend.photography import Photographer
-from sim_backend.ptpip.process import emulate_camera
+from sim_backend.ptpip.process import Model, emulate_camera
 from sim_backend.ptpip.world_photos import WorldPhotos
 from sim_backend.pump import SimulatedPump
 from sim_backend.scene import load_scene
@@ -159,12 +159,12 @@ def simulated_camera() -> Iterator[Bench[Camera]]:
 
 
 @contextmanager
-def libgphoto2_over_ptp_ip() -> Iterator[Bench[Camera]]:
+def libgphoto2_over_ptp_ip(*, model: Model = "generic", overlap: bool = False) -> Iterator[Bench[Camera]]:
     world = empty_world()
     optics = Photographer(load_scene("semi_ellipsoid").resized(camera_columns=32, display_columns=COLUMNS))
     with (
-        emulate_camera(WorldPhotos(world, optics), exposure_s=0.05, download_s=0.05) as emulated,
-        Gphoto2Camera(emulated.address, kind="emulated") as camera,
+        emulate_camera(WorldPhotos(world, optics), model=model, exposure_s=0.05, download_s=0.6) as emulated,
+        Gphoto2Camera(emulated.address, kind="emulated", overlap=overlap) as camera,
     ):
         yield Bench(camera, world)
 
@@ -183,7 +183,12 @@ PUMPS: dict[str, Opener] = {
     "tank board": tank_board,
 }
 DISPLAYS: dict[str, Opener] = {"simulated": simulated_display, "stripe player in Chromium": browser_display}
-CAMERAS: dict[str, Opener] = {"simulated": simulated_camera, "libgphoto2 over PTP/IP": libgphoto2_over_ptp_ip}
+CAMERAS: dict[str, Opener] = {
+    "simulated": simulated_camera,
+    "libgphoto2 over PTP/IP": libgphoto2_over_ptp_ip,
+    "libgphoto2 overlapping": partial(libgphoto2_over_ptp_ip, overlap=True),
+    "libgphoto2 overlapping with an EOS": partial(libgphoto2_over_ptp_ip, model="canon-eos-40d", overlap=True),
+}
 
 
 BENCHES = {"open_stage": STAGES, "open_pump": PUMPS, "open_display": DISPLAYS, "open_camera": CAMERAS}

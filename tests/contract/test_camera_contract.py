@@ -34,6 +34,7 @@ def test_a_photo_shows_what_was_on_the_glass_when_the_shutter_closed(open_camera
         bench.device.expose(timeout_s=10.0)
         (black,) = bench.device.collect(timeout_s=10.0)
         assert brightness(white) > brightness(black) + 10
+        assert bench.world.disturbed_photos == 0  # no frame changed while the shutter was open
 
 
 @pytest.mark.without_world

@@ -43,7 +43,12 @@ class Rig:
 
 
 @contextmanager
-def opened(model: Model, *, attempt_s: float = 20.0, exposure_s: float = 0.0) -> Iterator[Rig]:
+def opened(
+    model: Model,
+    *,
+    attempt_s: float = 20.0,
+    exposure_s: float = 0.0,
+) -> Iterator[Rig]:
     photos = NumberedPhotos()
     with (
         emulate_camera(photos, model=model, exposure_s=exposure_s) as body,

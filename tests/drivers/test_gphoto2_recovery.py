@@ -51,7 +51,7 @@ class RecordedLink(CameraLink):
 
 def camera_on(link: RecordedLink) -> Gphoto2Camera:
     camera = Gphoto2Camera(link.address)
-    camera._link = link
+    camera._recovery._link = camera._photos._link = link
     return camera
 
 
@@ -72,7 +72,7 @@ def test_a_success_begins_anew_at_the_mildest_rung() -> None:
     link = RecordedLink("usb:001,005", failures=2)
     camera = camera_on(link)
     camera.expose(timeout_s=10.0)
-    camera._paths = []
+    camera._photos.forget()
     link.process.failures = 1
     camera.expose(timeout_s=10.0)
     assert link.climbed == [0, 1, 0]

@@ -11,10 +11,11 @@ import pytest
 from doctor_bench import COLUMNS, DoctorBench, emulated_rig
 
 import rig.doctor_camera
+from drivers.exposure_time import seconds_of
 from drivers.usb_cameras import UsbCamera
 from rig.cli import main
 from rig.doctor import INSTALL, Check, Finding, failed, finding_of_sentence, run_checks
-from rig.doctor_camera import check_usb, seconds_of
+from rig.doctor_camera import check_usb
 from rig.doctor_cli import Limits, plan_checks
 from rig.doctor_machine import check_disk, read_config, rig_packages
 

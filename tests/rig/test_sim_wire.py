@@ -111,13 +111,13 @@ def test_photos_that_the_camera_spoils_are_taken_again_through_the_driver(
     look = World.look
     photos = iter(range(10**6))
 
-    def spoiling(world: World) -> Any:
+    def spoiling(world: World, **opened_on: Any) -> Any:
         number = next(photos)
         if number == 4:  # a damaged file is downloaded once more by the driver itself, so two are needed
             behind[0][1].camera.set_faults(truncated=2)
         if number == 9:
             behind[0][1].camera.set_faults(stale=1)
-        return look(world)
+        return look(world, **opened_on)
 
     monkeypatch.setattr(World, "look", spoiling)
     journal = run(config, scene, tmp_path / "wire", quiet, wire=True)
