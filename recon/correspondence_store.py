@@ -19,7 +19,7 @@ from pathlib import Path
 import numpy as np
 
 from recon.correspondence import Method, SweepResult, decode_sweep
-from recon.disk import Disk, write_whole
+from recon.disk import Disk, make_folders, write_whole
 from recon.manifest import Axis, CaptureSet
 from recon.metrics import PhotoQuality, SampleCurve
 from recon.noise import NoiseModel
@@ -112,7 +112,9 @@ def save_stored(
     packed = io.BytesIO()
     np.savez(packed, rest=np.frombuffer(json.dumps(rest).encode(), dtype=np.uint8), **arrays)
     # Not flushed to the disk one by one: what a power cut takes can be decoded again.
-    write_whole(path, packed.getvalue(), disk=Disk(durable=False))
+    disk = Disk(durable=False)
+    make_folders(path.parent, disk=disk)
+    write_whole(path, packed.getvalue(), disk=disk)
     return path
 
 
