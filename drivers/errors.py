@@ -17,7 +17,12 @@ Every message says what was asked, what was found and what to try.
 
 
 class DeviceError(Exception):
-    """Any failure of a device; the message is written for the operator."""
+    """Any failure of a device; the message is written for the operator.
+
+    ``part`` is the part of the rig that failed (``"camera"``, ``"pump"``, ...), filled in by whoever asked it.
+    """
+
+    part: str = ""
 
 
 class DeviceNotFoundError(DeviceError):

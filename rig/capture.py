@@ -1,6 +1,9 @@
-"""One capture from start to finish: a session opened or continued, a plan made from what is there, and run."""
+"""One capture from start to finish: a session opened or continued, a plan made from what is there, and run.
 
-import shutil
+What interrupts it leads back here: everything stands still, and when the cause is gone the plan is made again from what
+is done and known by then.
+"""
+
 from contextlib import ExitStack
 from dataclasses import dataclass
 from hashlib import sha256
@@ -9,19 +12,20 @@ from pathlib import Path
 from rich.console import Console
 
 from recon.session import Session, SessionWriter, open_session
+from rig.capture_run import CaptureRun
 from rig.config import RigConfig
-from rig.devices import Devices, TankDevices
-from rig.errors import CaptureError, CaptureStopped
+from rig.devices import Devices
+from rig.disk_room import disk_fault
+from rig.errors import CaptureError
+from rig.person import Person
 from rig.plan import all_photos, plan_capture, summarise
 from rig.progress import CaptureProgress
-from rig.sequencer import Sequencer
 from rig.session_manifest import manifest_of
+from rig.standstill import Standstill, clear_latch
 from rig.steps import PhotoKey
-from rig.stop_request import StopRequest
+from rig.stop_request import Boundary, StopRequest
+from rig.tank_keeper import tank_ml_now
 from sim_backend.scene import Scene
-
-# A disk that is filled to the last byte upsets more than this program.
-DISK_RESERVE_BYTES = 200_000_000
 
 
 @dataclass(frozen=True, slots=True)
@@ -51,8 +55,20 @@ def capture(
     scene: Scene | None,
     resume: bool,
     console: Console,
+    person: Person | None = None,
+    pause_after: Boundary | None = None,
+    checked: bool = False,
 ) -> CaptureResult:
     """Take every photo that the session still lacks.
+
+    Parameters
+    ----------
+    person
+        Who is asked at a pause and at a latch; None where nobody is at the terminal, and both end the command.
+    pause_after
+        Where to pause each time: after a photo, a sweep or a set.
+    checked
+        Somebody has looked after what latched the session.
 
     Raises
     ------
@@ -63,41 +79,44 @@ def capture(
     """
     with ExitStack() as stack:
         note = "[yellow]stopping after this photo; press Ctrl-C again to stop at once[/yellow]"
-        stop = stack.enter_context(StopRequest(lambda: console.print(note)))
+        stop = stack.enter_context(StopRequest(lambda: console.print(note), pause_after=pause_after))
         done: frozenset[PhotoKey] = frozenset()
         if resume:
             writer = stack.enter_context(SessionWriter.reopen(folder))
             done = whole_photos(open_session(folder))
+            clear_latch(writer, person=person, checked=checked, idle=devices.camera.keep_awake)
         else:
             manifest = manifest_of(config, devices=devices.records(), scene=scene)
             writer = stack.enter_context(SessionWriter.create(folder, manifest))
         with stop.at_once():
             tank_ml = tank_ml_now(config, devices)
-        plan = plan_capture(config, done=done, tank_ml=tank_ml)
-        summary = summarise(plan, config)
-        _check_disk(folder, summary.gigabytes)
+        photos = summarise(plan_capture(config, done=done, tank_ml=tank_ml), config).photos
+        no_room = disk_fault(folder, photo_mb=config.timing.photo_mb, photos=photos)
+        if no_room is not None:
+            raise CaptureError(no_room)
         writer.journal.append(
             "capture_resumed" if resume else "capture_started",
-            photos=summary.photos,
+            photos=photos,
             done=len(done),
             tank_ml=tank_ml,
             devices={name: record.model_dump() for name, record in devices.records().items()},
         )
-        progress = stack.enter_context(CaptureProgress(console, total_s=summary.minutes * 60))
-        sequencer = Sequencer(devices, writer, config, tank_ml=tank_ml, progress=progress, stop=stop)
+        progress = stack.enter_context(CaptureProgress(console))
+        run = CaptureRun(
+            config,
+            devices,
+            writer,
+            done=done,
+            tank_ml=tank_ml,
+            progress=progress,
+            standstill=Standstill(devices, writer, config, console=console, person=person, stop=stop),
+            stop=stop,
+            command=f"rig capture --resume --session {folder}{_rehearsal(devices, scene)}",
+        )
+        run.until_done()
         needed = len(all_photos(config))
-        try:
-            sequencer.run(plan)
-        except (CaptureStopped, KeyboardInterrupt):
-            have = needed - summary.photos + sequencer.photos.taken
-            writer.journal.append("capture_interrupted", photos=have, tank_ml=sequencer.tank.tank_ml)
-            raise CaptureStopped(
-                f"stopped with {have} of {needed} photos; pump and stage stand still"
-                + (f", the tank holds {sequencer.tank.tank_ml:.0f} ml" if config.tank else "")
-                + f"; go on with `rig capture --resume --session {folder}{_rehearsal(devices, scene)}`"
-            ) from None
         writer.journal.append("capture_finished", photos=needed)
-        return CaptureResult(sequencer.photos.taken, needed, needed)
+        return CaptureResult(len(run.taken), needed, needed)
 
 
 def _rehearsal(devices: Devices, scene: Scene | None) -> str:
@@ -105,21 +124,3 @@ def _rehearsal(devices: Devices, scene: Scene | None) -> str:
     if scene is None:
         return ""
     return " --sim-wire" if devices.camera.info().kind == "emulated" else " --sim"
-
-
-def tank_ml_now(config: RigConfig, devices: Devices | TankDevices) -> float:
-    """Return what the tank holds, from its sensor or from a person; never from what a journal expects."""
-    if config.tank is None:
-        return 0.0
-    if devices.level_sensor is not None:
-        return devices.level_sensor.volume_ml()
-    return devices.operator.tank_ml(fill_ml=config.tank.fill_ml)
-
-
-def _check_disk(folder: Path, gigabytes: float) -> None:
-    free_bytes = shutil.disk_usage(folder).free
-    if free_bytes < gigabytes * 1e9 + DISK_RESERVE_BYTES:
-        raise CaptureError(
-            f"{folder}: the photos will take about {gigabytes:.1f} GB, {free_bytes / 1e9:.1f} GB are free; "
-            "make room or choose another disk"
-        )

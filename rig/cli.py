@@ -4,7 +4,7 @@ import logging
 import sys
 from importlib import resources
 from pathlib import Path
-from typing import Annotated
+from typing import Annotated, Literal
 
 import typer
 from rich.console import Console
@@ -23,6 +23,7 @@ from rig.doctor_cli import doctor
 from rig.emulate_cli import emulate
 from rig.errors import CaptureStopped, ConfigError, RigError
 from rig.options import choose_rig, rig_of_session
+from rig.person import person_at_terminal
 from rig.plan import plan_capture
 from rig.plan_table import print_plan
 from rig.pump_cli import app as pump_app
@@ -67,12 +68,21 @@ def capture(
     seed: options.SeedOption = None,
     state: options.StateOption = None,
     real_time: options.RealTimeOption = False,
+    pause_after: Annotated[
+        Literal["photo", "sweep", "set"] | None, typer.Option("--pause-after", help="Pause after each of these.")
+    ] = None,
+    checked: Annotated[
+        bool,
+        typer.Option("--checked", help="Somebody has looked at tank, pump and stage since the session latched."),
+    ] = False,
 ) -> None:
     """Take the photos of the four sets.
 
-    Ctrl-C stops after the current photo, a second Ctrl-C at once; both leave the pump off and a session that
-    --resume completes.
+    Ctrl-C pauses after the current photo and asks how to go on; a second Ctrl-C stops at once. Both leave the pump off and
+    a session that --resume completes.
     """
+    if checked and not resume:
+        raise ConfigError("--checked answers a session that ended latched; add --resume, or leave it out")
     if sim and sim_wire:
         raise ConfigError("--sim and --sim-wire are two ways to rehearse; leave out one of them")
     sim = sim or sim_wire
@@ -92,7 +102,17 @@ def capture(
         return
     simulation = rig.simulation(real_time=real_time, state_file=state, wire=sim_wire)
     with open_devices(rig.config, simulation=simulation) as devices:
-        result = run_capture(rig.config, session, devices=devices, scene=rig.scene, resume=resume, console=console)
+        result = run_capture(
+            rig.config,
+            session,
+            devices=devices,
+            scene=rig.scene,
+            resume=resume,
+            console=console,
+            person=person_at_terminal(console),
+            pause_after=pause_after,
+            checked=checked,
+        )
     console.print(f"{session}: {result.photos_done} photos, {result.photos_taken} of them taken now", markup=False)
 
 

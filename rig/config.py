@@ -142,6 +142,7 @@ class Timing(Part):
     still_after_move_s: NotNegative
     still_after_fill_s: NotNegative
     photo_mb: Positive
+    longest_suspension_s: Positive = 3600.0
 
 
 class PumpDriver(Part):

@@ -5,6 +5,12 @@
     RigError                 one sentence for the operator: what was asked, what was found, what to try
     ├── ConfigError          a value of the configuration, or an option, that cannot be used
     ├── CaptureError         the capture cannot go on as things stand
+    │   ├── StageMovedError  the display does not stand where it was sent
+    │   ├── TankAlarmError   pump or board report a leak, an over-fill, a stall, their dead-man's switch
+    │   ├── WrongLevelError  the tank does not hold what it should after a flow
+    │   ├── NotStoppedError  pump or stage did not obey a stop
+    │   ├── WrongFrameError  a photo shows another frame than was commanded, or its tag cannot be read
+    │   └── DiskLowError     there is no room for the next photo
     └── CaptureStopped       the operator asked to stop; the session is whole and can be resumed
 """
 
@@ -19,6 +25,30 @@ class ConfigError(RigError):
 
 class CaptureError(RigError):
     """The capture cannot go on as things stand."""
+
+
+class StageMovedError(CaptureError):
+    """The display does not stand where it was sent."""
+
+
+class TankAlarmError(CaptureError):
+    """The pump or its board stopped itself and says why."""
+
+
+class WrongLevelError(CaptureError):
+    """After a flow, the tank does not hold what it should."""
+
+
+class NotStoppedError(CaptureError):
+    """A pump or a stage did not obey a stop."""
+
+
+class WrongFrameError(CaptureError):
+    """A photo shows another frame than was commanded, or its frame tag cannot be read."""
+
+
+class DiskLowError(CaptureError):
+    """The disk has no room for the next photo."""
 
 
 class CaptureStopped(RigError):

@@ -7,9 +7,10 @@ from collections.abc import Callable
 
 from drivers.errors import DeviceTimeoutError, OutOfVolumeError
 from drivers.protocols import FlowDirection
+from rig.causes import part_of_rig
 from rig.config import Tank
 from rig.devices import Devices, TankDevices
-from rig.errors import CaptureError
+from rig.errors import CaptureError, TankAlarmError
 
 # Slack beyond a pump's own time limit before it counts as stuck.
 PUMP_EXTRA_S = 2.0
@@ -22,11 +23,12 @@ def check_pump_stands(devices: Devices, *, purpose: str) -> None:
     """Refuse ``purpose`` while the pump runs, or while it says that something is wrong, such as a leak."""
     if devices.pump is None:
         return
-    status = devices.pump.status()
+    with part_of_rig("pump"):
+        status = devices.pump.status()
     if status.running:
         raise CaptureError(f"the pump is running, so it is not safe to {purpose}; stop it and try again")
     if status.alarm:
-        raise CaptureError(f"pump: {status.alarm}; it is not safe to {purpose}, look at tank and pump first")
+        raise TankAlarmError(f"pump: {status.alarm}; it is not safe to {purpose}, look at tank and pump first")
 
 
 def check_volume(direction: FlowDirection, *, volume_ml: float, tank_ml: float, tank: Tank) -> None:
@@ -72,5 +74,5 @@ def run_flow(
     finally:
         pump.stop()
     if status.alarm:
-        raise CaptureError(f"pump: alarm {status.alarm!r} after {status.moved_ml:.0f} ml; look at the pump")
+        raise TankAlarmError(f"pump: alarm {status.alarm!r} after {status.moved_ml:.0f} ml; look at the pump")
     return pump.status().moved_ml

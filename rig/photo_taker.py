@@ -2,17 +2,20 @@
 
 import math
 from collections.abc import Callable, Iterator
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 
 from drivers.errors import DeviceBusyError, DeviceError, DeviceProtocolError
 from drivers.protocols import Photo
 from recon.session import SessionWriter
+from rig.causes import part_of_rig
 from rig.config import RigConfig
 from rig.devices import Devices
+from rig.disk_room import disk_fault
+from rig.errors import CaptureError, DiskLowError, WrongFrameError
 from rig.flow import check_pump_stands
 from rig.frames import frame_of
 from rig.stage_moves import StageMoves
-from rig.steps import TakePhoto
+from rig.steps import PhotoKey, TakePhoto
 from rig.tag_check import TagCheck
 
 SHOW_TIMEOUT_S = 10.0
@@ -24,9 +27,9 @@ RETRY_PAUSE_S = 1.0
 
 
 class SpoiledPhotoError(Exception):
-    """A photo was damaged, stale or somebody else's, or the camera was busy; ``fault`` is what it said."""
+    """A photo was damaged, stale, of another frame or somebody else's, or the camera was busy; ``fault`` says which."""
 
-    def __init__(self, fault: DeviceError) -> None:
+    def __init__(self, fault: DeviceError | CaptureError) -> None:
         super().__init__(str(fault))
         self.fault = fault
 
@@ -36,12 +39,12 @@ def _spoils_the_photo() -> Iterator[None]:
     """Tell a camera's fault that a second photo can mend from one that it cannot, and from those of other devices."""
     try:
         yield
-    except (DeviceBusyError, DeviceProtocolError) as fault:
+    except (DeviceBusyError, DeviceProtocolError, WrongFrameError) as fault:
         raise SpoiledPhotoError(fault) from fault
 
 
 class PhotoTaker:
-    """Takes the photos of a capture. ``taken`` counts those that are saved."""
+    """Takes the photos of a capture. ``taken`` names those that it saved."""
 
     def __init__(
         self,
@@ -60,14 +63,22 @@ class PhotoTaker:
         self._shown: int | None = None
         self._shown_at_s = -math.inf
         self._tag_check = TagCheck(config)
-        self.taken = 0
+        self._uncollected = False
+        self._display_fault: DeviceError | None = None
+        self.taken: set[PhotoKey] = set()
 
     def take(self, photo: TakePhoto, following: TakePhoto | None) -> None:
-        """Take and save one photo; a photo that is spoiled is taken again, with its frame shown anew."""
+        """Take and save one photo; a photo that is spoiled is taken again, with its frame shown anew.
+
+        What goes wrong with ``following``, which is shown meanwhile, is raised when ``photo`` is safe.
+        """
         check_pump_stands(self._devices, purpose="take a photo")
+        no_room = disk_fault(self._writer.folder, photo_mb=self._config.timing.photo_mb)
+        if no_room is not None:
+            raise DiskLowError(no_room)
         for attempt in range(1, PHOTO_ATTEMPTS + 1):
             try:
-                files = self._taken(photo, following)
+                files, frame_tag = self._taken(photo, following)
                 break
             except SpoiledPhotoError as spoiled:
                 self._shown = None
@@ -82,35 +93,54 @@ class PhotoTaker:
                 if attempt == PHOTO_ATTEMPTS:
                     raise spoiled.fault from None
                 self._wait(RETRY_PAUSE_S)
-        self._save(photo, files)
-        self.taken += 1
+        self._save(photo, files, frame_tag)
+        fault, self._display_fault = self._display_fault, None
+        if fault is not None:
+            raise fault
 
-    def _taken(self, photo: TakePhoto, following: TakePhoto | None) -> tuple[Photo, ...]:
-        """Show, wait, expose; then show the next frame while this photo is downloaded."""
+    def _taken(self, photo: TakePhoto, following: TakePhoto | None) -> tuple[tuple[Photo, ...], int | None]:
+        """Show, wait, expose; show the next frame while this photo is downloaded; return its files and its tag."""
+        self._discard_uncollected()
         if self._shown != photo.frame_id:
             self._show(photo)
         clock = self._devices.clock
         clock.sleep_s(self._shown_at_s + self._config.timing.settle_s - clock.now_s())
-        with _spoils_the_photo():
+        self._uncollected = True
+        with _spoils_the_photo(), part_of_rig("camera"):
             self._devices.camera.expose(timeout_s=PHOTO_TIMEOUT_S)
         if following is not None:
-            self._show(following)
-        with _spoils_the_photo():
-            return self._devices.camera.collect(timeout_s=PHOTO_TIMEOUT_S)
+            try:
+                self._show(following)
+            except DeviceError as fault:
+                self._display_fault = fault
+        with _spoils_the_photo(), part_of_rig("camera"):
+            files = self._devices.camera.collect(timeout_s=PHOTO_TIMEOUT_S)
+            self._uncollected = False
+            if not files:
+                raise DeviceProtocolError(f"camera: no file for photo {photo.set_name} {photo.sweep} {photo.index}")
+            return files, self._tag_check.check(photo, files)
+
+    def _discard_uncollected(self) -> None:
+        """Take from the camera what an earlier attempt left in it, so that it is not taken for the next photo."""
+        if not self._uncollected:
+            return
+        with suppress(DeviceProtocolError), part_of_rig("camera"):  # there was none, or it is damaged: both are well
+            self._devices.camera.collect(timeout_s=PHOTO_TIMEOUT_S)
+        self._uncollected = False
+
+    def forget_frame(self) -> None:
+        """Show the next frame anew: something else was on the glass, or the glass was dark, meanwhile."""
+        self._shown = None
 
     def _show(self, photo: TakePhoto) -> None:
-        self._devices.display.show(frame_of(photo, self._config), frame_id=photo.frame_id, timeout_s=SHOW_TIMEOUT_S)
+        self._shown = None
+        with part_of_rig("display"):
+            self._devices.display.show(frame_of(photo, self._config), frame_id=photo.frame_id, timeout_s=SHOW_TIMEOUT_S)
         self._shown = photo.frame_id
         self._shown_at_s = self._devices.clock.now_s()
 
-    def _save(self, photo: TakePhoto, files: tuple[Photo, ...]) -> None:
-        if not files:
-            raise DeviceError(
-                f"camera: no file for photo {photo.set_name} {photo.sweep} {photo.index}; resume to retry"
-            )
-        frame_tag = self._tag_check.check(photo, files)
-        stage_mm = self._stage.check_position_mm()
-        device = {"frame_id": photo.frame_id, "stage_mm": stage_mm}
+    def _save(self, photo: TakePhoto, files: tuple[Photo, ...], frame_tag: int | None) -> None:
+        device: dict[str, object] = {"frame_id": photo.frame_id, "stage_mm": self._stage.check_position_mm()}
         if frame_tag is not None:
             device["frame_tag"] = frame_tag
         # Of a RAW and its JPEG, the JPEG comes last: the last line of the journal is the photo that is read.
@@ -124,3 +154,4 @@ class PhotoTaker:
                 place_px=photo.place_px,
                 device={**device, "camera_file": file.name},
             )
+        self.taken.add(photo.key)

@@ -61,7 +61,12 @@ def all_photos(config: RigConfig) -> tuple[TakePhoto, ...]:
 
 
 def plan_capture(
-    config: RigConfig, *, done: Collection[PhotoKey] = frozenset(), tank_ml: float = 0.0
+    config: RigConfig,
+    *,
+    done: Collection[PhotoKey] = frozenset(),
+    tank_ml: float = 0.0,
+    position: Position | None = None,
+    object_present: bool | None = None,
 ) -> tuple[Step, ...]:
     """Plan the way from the present state to four whole sets.
 
@@ -73,18 +78,18 @@ def plan_capture(
         Photos that exist and are whole; they are not taken again.
     tank_ml
         What the tank holds at the start.
+    position
+        Where the display stands; None where that is not known, and the stage is homed first.
+    object_present
+        Whether the object is in its holder; None where that is not known.
 
     Returns
     -------
     tuple of Step
-        Empty when every photo is done.
+        Empty when every photo is done and the tank is as it should be left.
     """
     wanted = [photo for photo in all_photos(config) if photo.key not in done]
-    if not wanted:
-        return ()
-    steps: list[Step] = [HomeStage()]
-    position: Position | None = None
-    object_present: bool | None = None
+    steps: list[Step] = [HomeStage()] if wanted and position is None else []
     for place in set_order(config):
         photos = [photo for photo in wanted if photo.set_name == set_name(place)]
         if not photos:

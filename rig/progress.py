@@ -1,5 +1,7 @@
 """How far a capture is: a bar with the remaining time on a terminal, silence elsewhere."""
 
+from collections.abc import Iterator
+from contextlib import contextmanager
 from types import TracebackType
 from typing import Self
 
@@ -14,7 +16,7 @@ class CaptureProgress:
     remaining time follows from how fast planned seconds really pass.
     """
 
-    def __init__(self, console: Console, *, total_s: float) -> None:
+    def __init__(self, console: Console) -> None:
         self._progress = Progress(
             TextColumn("{task.description}"),
             BarColumn(),
@@ -24,7 +26,12 @@ class CaptureProgress:
             transient=True,
             disable=not console.is_terminal,
         )
-        self._task: TaskID = self._progress.add_task("starting", total=max(total_s, 1e-9))
+        self._task: TaskID = self._progress.add_task("starting", total=None)
+        self._advanced_s = 0.0
+
+    def plan(self, left_s: float) -> None:
+        """Take over a new plan: how many planned seconds are left."""
+        self._progress.update(self._task, total=max(self._advanced_s + left_s, 1e-9))
 
     def tell(self, text: str) -> None:
         """Say what happens now."""
@@ -32,7 +39,17 @@ class CaptureProgress:
 
     def advance(self, planned_s: float) -> None:
         """Count a step as done."""
+        self._advanced_s += planned_s
         self._progress.advance(self._task, planned_s)
+
+    @contextmanager
+    def hidden(self) -> Iterator[None]:
+        """Take the bar away while a person reads and answers."""
+        self._progress.stop()
+        try:
+            yield
+        finally:
+            self._progress.start()
 
     def __enter__(self) -> Self:
         self._progress.start()

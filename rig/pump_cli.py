@@ -8,7 +8,6 @@ import typer
 
 from drivers.protocols import FlowDirection
 from rig import options
-from rig.capture import tank_ml_now
 from rig.config import RigConfig, Tank, longest_run_s
 from rig.devices import Devices, TankDevices, open_tank
 from rig.errors import ConfigError
@@ -16,6 +15,7 @@ from rig.flow import check_volume, run_flow
 from rig.options import choose_rig
 from rig.scene_config import SceneOptions
 from rig.stop_request import StopRequest
+from rig.tank_keeper import tank_ml_now
 
 app = typer.Typer(
     help="The pump by hand: fill, drain, prime, calibrate, stop, state. With --sim and --state FILE the tank keeps its "

@@ -9,9 +9,10 @@ from itertools import zip_longest
 
 from drivers.errors import DeviceError
 from recon.session import SessionWriter
+from rig.causes import part_of_rig
 from rig.config import RigConfig
 from rig.devices import Devices
-from rig.errors import CaptureError
+from rig.errors import CaptureError, NotStoppedError
 from rig.flow import check_pump_stands
 from rig.photo_taker import PhotoTaker
 from rig.progress import CaptureProgress
@@ -29,10 +30,14 @@ from rig.steps import (
     step_duration_s,
     step_text,
 )
-from rig.stop_request import StopRequest
+from rig.stop_request import Boundary, StopRequest
 from rig.tank_keeper import TankKeeper
 
 POLL_S = 0.25
+
+
+class PlanAgain(Exception):
+    """What is done or known has changed, so that the rest of this plan is no longer the best one."""
 
 
 class Sequencer:
@@ -56,6 +61,7 @@ class Sequencer:
         self.stage = StageMoves(devices, writer.journal, config)
         self.tank = TankKeeper(devices, writer.journal, config, tank_ml=tank_ml)
         self.photos = PhotoTaker(devices, writer, config, stage=self.stage, wait=self._wait)
+        self.object_present: bool | None = None
 
     def run(self, plan: Sequence[Step]) -> None:
         """Run every step; however it ends, pump and stage stand still afterwards and the journal says so."""
@@ -66,33 +72,40 @@ class Sequencer:
                 self._progress.tell(step_text(step))
                 self._do(step, following)
                 self._progress.advance(step_duration_s(step, self._config))
+                if isinstance(step, TakePhoto) and following is not None:
+                    self._stop.passed(boundary_after(step, following))
         finally:
-            self.come_to_rest()
+            with self._stop.resting():
+                self.come_to_rest()
 
     def _prepare(self) -> None:
         """Refuse a panel of another size than configured, and freeze the camera's settings."""
-        screen, panel = self._devices.display.screen(), self._config.display
+        with part_of_rig("display"):
+            screen = self._devices.display.screen()
+        panel = self._config.display
         if (screen.columns, screen.rows) != (panel.columns, panel.rows):
             raise CaptureError(
                 f"display: {panel.columns} × {panel.rows} device pixels configured, it has {screen.columns} × "
                 f"{screen.rows}; correct section [display], or the display's zoom and rotation"
             )
         if self._config.camera.settings:
-            self._devices.camera.apply_settings(self._config.camera.settings)
+            with part_of_rig("camera"):
+                self._devices.camera.apply_settings(self._config.camera.settings)
+        self.photos.forget_frame()
 
     def come_to_rest(self) -> None:
         """Stop pump and stage, each even if the other does not answer."""
         failed: list[str] = []
-        for name, device in (("pump", self._devices.pump), ("stage", self._devices.stage)):
+        for device in (self._devices.pump, self._devices.stage):
             if device is None:
                 continue
             try:
                 device.stop()
             except DeviceError as error:
-                failed.append(f"{name}: {error}")
+                failed.append(str(error))
         self._journal.append("came_to_rest", tank_ml=self.tank.tank_ml, failed=failed)
         if failed:
-            raise CaptureError(f"could not be stopped, switch it off by hand: {'; '.join(failed)}")
+            raise NotStoppedError(f"could not be stopped, switch it off by hand: {'; '.join(failed)}")
 
     def _do(self, step: Step, following: Step | None) -> None:
         match step:
@@ -131,14 +144,27 @@ class Sequencer:
         with self._stop.at_once():
             self._devices.operator.do(step.request, step.text)
         self._journal.append("operator_answered", request=step.request)
+        if step.request in ("insert_object", "remove_object"):
+            self.object_present = step.request == "insert_object"
         self.tank.moved_by_hand(step.request)
 
     def _start_sweep(self, step: StartSweep) -> None:
+        with part_of_rig("camera"):
+            camera_settings = self._devices.camera.settings()
         self._journal.append(
             "sweep_started",
             set=step.set_name,
             axis=step.axis,
             count=step.count,
             stage_mm=self.stage.check_position_mm(),
-            camera_settings=self._devices.camera.settings(),
+            camera_settings=camera_settings,
         )
+
+
+def boundary_after(photo: TakePhoto, following: Step) -> Boundary:
+    """Return what ends with ``photo``: nothing but itself, its sweep, or the whole set."""
+    same_set = isinstance(following, TakePhoto | StartSweep) and following.set_name == photo.set_name
+    if not same_set:
+        return "set"
+    same_sweep = isinstance(following, TakePhoto) and following.sweep == photo.sweep
+    return "photo" if same_sweep or photo.sweep not in ("x", "y") else "sweep"

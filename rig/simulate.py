@@ -33,9 +33,10 @@ def simulate_session(scene: Scene, config: RigConfig, folder: Path, *, workers: 
     manifest = manifest_of(config, devices={"simulator": SIMULATED_DEVICE}, scene=scene)
     with (
         SessionWriter.create(folder, manifest, disk=Disk(durable=False)) as writer,
-        CaptureProgress(console, total_s=len(photos)) as progress,
+        CaptureProgress(console) as progress,
         worker_pool(workers) as pool,
     ):
+        progress.plan(len(photos))
         progress.tell("tracing light")
         truth = pool.submit(photographer.truth)
         for photo, data in develop(photos, photographer, config, pool=pool, ahead=2 * workers):

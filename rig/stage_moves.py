@@ -1,9 +1,10 @@
 """The stage's part of a capture: home, move, and make sure before every photo that it stands where it was sent."""
 
 from recon.journal import JournalWriter
+from rig.causes import part_of_rig
 from rig.config import RigConfig
 from rig.devices import Devices
-from rig.errors import CaptureError
+from rig.errors import StageMovedError
 from rig.flow import check_pump_stands
 from rig.steps import MoveStage, Position
 
@@ -29,15 +30,18 @@ class StageMoves:
         check_pump_stands(self._devices, purpose="home the stage")
         self.forget()
         self._journal.append("homing_started")
-        self._devices.stage.home(timeout_s=self._timeout_s())
-        self._journal.append("homing_finished", stage_mm=self._devices.stage.position_mm())
+        with part_of_rig("stage"):
+            self._devices.stage.home(timeout_s=self._timeout_s())
+            stage_mm = self._devices.stage.position_mm()
+        self._journal.append("homing_finished", stage_mm=stage_mm)
 
     def move(self, step: MoveStage) -> None:
         """Carry the display to a position, and ask the stage whether it is there."""
         check_pump_stands(self._devices, purpose="move the stage")
         self.forget()
         self._journal.append("move_started", position=step.position, to_mm=step.position_mm)
-        self._devices.stage.move_to_mm(step.position_mm, timeout_s=self._timeout_s())
+        with part_of_rig("stage"):
+            self._devices.stage.move_to_mm(step.position_mm, timeout_s=self._timeout_s())
         self._wanted_mm = step.position_mm
         self._journal.append("move_finished", position=step.position, stage_mm=self.check_position_mm())
         self.position = step.position
@@ -49,9 +53,10 @@ class StageMoves:
 
     def check_position_mm(self) -> float:
         """Return where the stage says it is, or refuse to go on when that is not where it was sent."""
-        found_mm = self._devices.stage.position_mm()
+        with part_of_rig("stage"):
+            found_mm = self._devices.stage.position_mm()
         if self._wanted_mm is not None and not abs(found_mm - self._wanted_mm) <= POSITION_TOLERANCE_MM:
-            raise CaptureError(
+            raise StageMovedError(
                 f"stage: {self._wanted_mm:.3f} mm asked, it stands at {found_mm:.3f} mm; "
                 "somebody or something moved it; free it and resume the capture"
             )

@@ -8,7 +8,7 @@ from drivers.protocols import Photo
 from recon.frame_tag_reading import TagReading, find_tag, read_tag
 from recon.photos import decode_grey
 from rig.config import RigConfig
-from rig.errors import CaptureError
+from rig.errors import CaptureError, WrongFrameError
 from rig.frames import tag_number
 from rig.steps import TakePhoto
 
@@ -28,8 +28,10 @@ class TagCheck:
 
         Raises
         ------
-        CaptureError
+        WrongFrameError
             The photo shows another frame than ``photo``, or the number cannot be read.
+        CaptureError
+            None of the files can be decoded.
         """
         if self._seen_px is None:
             return None
@@ -44,14 +46,14 @@ class TagCheck:
         reading = self._read(grey, photo.set_name)
         if reading is None or reading.number is None:
             why = f" ({reading.fault})" if reading else ""
-            raise CaptureError(
+            raise WrongFrameError(
                 f"{name}: the frame tag cannot be read{why}; look at what covers or darkens it in the photo, or correct "
                 "frame_tag.seen_px, then resume"
             )
         self._corners_px[photo.set_name] = reading.corners_px
         commanded = tag_number(photo.frame_id)
         if reading.number != commanded:
-            raise CaptureError(
+            raise WrongFrameError(
                 f"{name}: it shows frame {reading.number}, frame {commanded} was commanded, so it was not saved; "
                 "raise timing.settle_s, let nobody else release the shutter, then resume"
             )

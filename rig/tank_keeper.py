@@ -4,9 +4,10 @@ from collections.abc import Callable
 
 from drivers.protocols import FlowDirection
 from recon.journal import JournalWriter
+from rig.causes import part_of_rig
 from rig.config import RigConfig
-from rig.devices import Devices
-from rig.errors import CaptureError
+from rig.devices import Devices, TankDevices
+from rig.errors import CaptureError, WrongLevelError
 from rig.flow import check_pump_stands, check_volume, run_flow
 from rig.plan import LEVEL_TOLERANCE
 from rig.steps import DrainTank, FillTank, Request
@@ -34,13 +35,15 @@ class TankKeeper:
             f"{direction}_started", volume_ml=step.volume_ml, to_ml=step.to_ml, max_run_s=step.max_run_s
         )
         try:
-            run_flow(self._devices, direction, volume_ml=step.volume_ml, max_run_s=step.max_run_s, on_poll=on_poll)
+            with part_of_rig("pump"):
+                run_flow(self._devices, direction, volume_ml=step.volume_ml, max_run_s=step.max_run_s, on_poll=on_poll)
         finally:
-            moved_ml = pump.status().moved_ml
+            with part_of_rig("pump"):
+                moved_ml = pump.status().moved_ml
             self.tank_ml = self._level_ml(before_ml + (moved_ml if direction == "fill" else -moved_ml))
             self._journal.append(f"{direction}_stopped", moved_ml=moved_ml, tank_ml=self.tank_ml)
         if abs(self.tank_ml - step.to_ml) > LEVEL_TOLERANCE * tank.fill_ml:
-            raise CaptureError(
+            raise WrongLevelError(
                 f"the {direction} ended with {self.tank_ml:.0f} ml in the tank instead of {step.to_ml:.0f} ml "
                 f"(the pump counted {moved_ml:.0f} ml); look for a leak, an empty reservoir or a worn tube, then resume"
             )
@@ -55,3 +58,12 @@ class TankKeeper:
         """Return what the tank holds: what the sensor says where there is one, else what the pump counted."""
         sensor = self._devices.level_sensor
         return ledger_ml if sensor is None else sensor.volume_ml()
+
+
+def tank_ml_now(config: RigConfig, devices: Devices | TankDevices) -> float:
+    """Return what the tank holds, from its sensor or from a person; never from what a journal expects."""
+    if config.tank is None:
+        return 0.0
+    if devices.level_sensor is not None:
+        return devices.level_sensor.volume_ml()
+    return devices.operator.tank_ml(fill_ml=config.tank.fill_ml)

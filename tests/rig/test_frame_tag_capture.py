@@ -14,7 +14,7 @@ from rich.console import Console
 from drivers.protocols import DeviceInfo, Frame, Photo
 from recon.frame_tag import LARGEST_NUMBER, TagPlace, tag_levels
 from recon.frame_tag_reading import find_tag
-from recon.journal import read_photos
+from recon.journal import read_journal, read_photos
 from rig.capture import capture
 from rig.config import RigConfig, parse_config
 from rig.devices import Devices
@@ -107,14 +107,29 @@ def test_every_photo_of_a_capture_proves_its_frame(tag_config, tag_scene, open_b
         assert record.device["frame_tag"] == record.device["frame_id"]
 
 
-def test_a_photo_of_the_frame_before_is_not_saved_and_resuming_takes_it_again(
+def test_a_photo_of_the_frame_before_is_taken_again_at_once(tag_config, tag_scene, open_bench, tmp_path: Path) -> None:
+    earlier: list[Frame] = []
+
+    def late(frame: Frame, count: int) -> Frame:
+        earlier.append(frame)
+        return earlier[-2] if count == 5 else frame
+
+    with open_bench(tag_config, tag_scene) as (devices, world):
+        assert run(tag_config, tmp_path / "s", replace(devices, camera=StraightCamera(world, late)), tag_scene) == 32
+    records = list(read_photos(tmp_path / "s/journal.jsonl"))
+    assert [record.device["frame_tag"] for record in records] == list(range(32))
+    (spoiled,) = (entry for entry in read_journal(tmp_path / "s/journal.jsonl") if entry["event"] == "photo_spoiled")
+    assert "it shows frame 4, frame 5 was commanded, so it was not saved" in spoiled["reason"]
+
+
+def test_a_display_that_stays_behind_ends_the_capture_and_resuming_takes_what_is_missing(
     tag_config, tag_scene, open_bench, tmp_path: Path
 ) -> None:
     earlier: list[Frame] = []
 
     def late(frame: Frame, count: int) -> Frame:
         earlier.append(frame)
-        return earlier[-2] if count == 5 else frame
+        return earlier[4] if count >= 5 else frame
 
     with open_bench(tag_config, tag_scene) as (devices, world):
         late_rig = replace(devices, camera=StraightCamera(world, late))
@@ -129,7 +144,7 @@ def test_a_tag_that_cannot_be_read_stops_the_capture_with_a_sentence(
     tag_config, tag_scene, open_bench, tmp_path: Path
 ) -> None:
     def covered(frame: Frame, count: int) -> Frame:
-        return replace(frame, patches=()) if count == 3 else frame
+        return replace(frame, patches=()) if count >= 3 else frame
 
     with open_bench(tag_config, tag_scene) as (devices, world):
         rig = replace(devices, camera=StraightCamera(world, covered))
