@@ -18,7 +18,8 @@ class SweepQuality:
 
     ``coverage`` is the share of lit pixels that have a place; ``saturated_share`` the clipped samples over the lit pixels, no
     less than the share of pixels that are clipped; ``contrast`` the median (max − min) / (max + min) of the sample curves;
-    ``misfit`` the median χ² over degrees of freedom; ``sd_px`` the median standard deviation of a place in device pixels.
+    ``misfit`` the median χ² over degrees of freedom; ``sd_px`` the median standard deviation of a place in device pixels;
+    ``dark_gap`` the longest run of photos without a stripe between two photos with one.
     """
 
     set: str
@@ -30,6 +31,7 @@ class SweepQuality:
     contrast: float
     misfit: float
     sd_px: float
+    dark_gap: int
 
 
 def sweep_quality(result: SweepResult, *, set_name: str, axis: str) -> SweepQuality:
@@ -51,7 +53,14 @@ def sweep_quality(result: SweepResult, *, set_name: str, axis: str) -> SweepQual
         contrast=float(np.median(contrasts)) if contrasts else float("nan"),
         misfit=result.misfit,
         sd_px=float(np.median(result.sd_px[fine])) if fine.any() else float("nan"),
+        dark_gap=_dark_gap(np.array([photo.brightest for photo in result.photos])),
     )
+
+
+def _dark_gap(brightest: np.ndarray) -> int:
+    """Return the longest run of dark photos between two lit ones; half-way between dimmest and brightest photo is dark."""
+    bright = np.flatnonzero(brightest > (brightest.min() + brightest.max()) / 2)
+    return int(np.diff(bright).max() - 1) if len(bright) > 1 else 0
 
 
 def predicted_entry_sd_mm(sd_px: float, manifest: Manifest, *, object_distance_mm: float) -> float:

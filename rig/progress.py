@@ -2,11 +2,21 @@
 
 from collections.abc import Iterator
 from contextlib import contextmanager
+from dataclasses import dataclass
 from types import TracebackType
 from typing import Self
 
 from rich.console import Console
 from rich.progress import BarColumn, Progress, TaskID, TextColumn, TimeRemainingColumn
+
+
+@dataclass(frozen=True, slots=True)
+class Where:
+    """What happens now, the share of the plan that is done, and the seconds left as far as they can be told."""
+
+    text: str
+    share: float
+    remaining_s: float | None
 
 
 class CaptureProgress:
@@ -50,6 +60,11 @@ class CaptureProgress:
             yield
         finally:
             self._progress.start()
+
+    def where(self) -> Where:
+        """Say how far the capture is; may be asked from another thread."""
+        task = self._progress.tasks[0]
+        return Where(task.description, (task.percentage or 0.0) / 100, task.time_remaining)
 
     def __enter__(self) -> Self:
         self._progress.start()

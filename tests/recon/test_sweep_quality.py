@@ -14,7 +14,13 @@ from recon.status import PixelStatus
 from recon.sweep_quality import predicted_entry_sd_mm, sweep_quality
 
 
-def result(status: list[list[int]], *, shares: tuple[float, ...], curves: tuple[tuple[float, ...], ...]) -> SweepResult:
+def result(
+    status: list[list[int]],
+    *,
+    shares: tuple[float, ...],
+    curves: tuple[tuple[float, ...], ...],
+    brightest: tuple[int, ...] | None = None,
+) -> SweepResult:
     states = np.array(status, dtype=np.uint8)
     fine = states == PixelStatus.OK
     return SweepResult(
@@ -24,7 +30,9 @@ def result(status: list[list[int]], *, shares: tuple[float, ...], curves: tuple[
         noise=NoiseModel(1.0),
         misfit=1.25,
         photos=tuple(
-            PhotoQuality(set="pos0_air", sweep="x", index=k, brightest=255, saturated_share=share)
+            PhotoQuality(
+                set="pos0_air", sweep="x", index=k, brightest=brightest[k] if brightest else 255, saturated_share=share
+            )
             for k, share in enumerate(shares)
         ),
         curves=tuple(
@@ -80,3 +88,9 @@ def test_without_a_liquid_nothing_crosses() -> None:
     for one in data["sets"]:
         one["condition"] = {"air": "without", "liquid": "with"}[one["condition"]]
     assert np.isnan(predicted_entry_sd_mm(0.02, Manifest.model_validate(data), object_distance_mm=10.0))
+
+
+def test_photos_without_a_stripe_count_only_between_photos_with_one() -> None:
+    counts = (9, 9, 9, 200, 180, 8, 9, 200, 12, 9, 7, 210, 9, 9)
+    one = result([[PixelStatus.OK]], shares=(0.0,) * len(counts), curves=(), brightest=counts)
+    assert sweep_quality(one, set_name="pos0_air", axis="x").dark_gap == 3
