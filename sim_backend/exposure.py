@@ -10,6 +10,7 @@ import numpy as np
 import simplejpeg
 
 from drivers.protocols import Frame
+from sim_backend.disturbance import QUIET, Disturbance
 from sim_backend.frame_equality import same_frame
 from sim_backend.world import Sight, World
 
@@ -20,7 +21,15 @@ BLEND_QUALITY = 95
 class TakesPhotos(Protocol):
     """The optics behind a camera: :class:`sim_backend.photography.Photographer`, or a stand-in."""
 
-    def photograph(self, frame: Frame, *, stage_position_mm: float, wet: bool, object_present: bool = True) -> bytes:
+    def photograph(
+        self,
+        frame: Frame,
+        *,
+        stage_position_mm: float,
+        wet: bool,
+        object_present: bool = True,
+        disturbance: Disturbance = QUIET,
+    ) -> bytes:
         """Return the JPEG file of one photo."""
         ...
 
@@ -63,6 +72,7 @@ class WorldExposure:
             stage_position_mm=sight.stage_position_mm,
             wet=sight.wet,
             object_present=sight.object_present,
+            disturbance=sight.disturbance,
         )
 
 

@@ -65,8 +65,13 @@ def pixel_centre_paths(scene: Scene, world: OpticalWorld) -> Paths:
     return Paths(*(np.concatenate([getattr(part, name) for part in parts]) for name in Paths.__slots__))
 
 
-def trace_sub_rays(scene: Scene, world: OpticalWorld) -> SubRays:
-    """Trace ``supersampling`` by ``supersampling`` evenly placed rays in each pixel."""
+def trace_sub_rays(scene: Scene, world: OpticalWorld, *, object_shift_mm: tuple[float, float] = (0.0, 0.0)) -> SubRays:
+    """Trace ``supersampling`` by ``supersampling`` evenly placed rays in each pixel.
+
+    An object that was shifted along x and y is traced in its own frame, where the camera has moved the other way: the
+    liquid's level looks the same from there.
+    """
+    shift = np.array([*object_shift_mm, 0.0])
     camera = scene.camera
     fold = camera.supersampling
     fine_rows, fine_columns = camera.rows * fold, camera.columns * fold
@@ -86,8 +91,8 @@ def trace_sub_rays(scene: Scene, world: OpticalWorld) -> SubRays:
         part = slice(number[0], number[-1] + 1)
         row, column = np.divmod(number, fine_columns)
         direction = look(camera, (column + 0.5) / fold - 0.5, (row + 0.5) / fold - 0.5)
-        paths = trace(world, np.broadcast_to(np.array(camera.position_mm), direction.shape), direction)
-        out.origin[part], out.direction[part], out.n[part] = paths.origin, paths.direction, paths.n
+        paths = trace(world, np.broadcast_to(np.array(camera.position_mm) - shift, direction.shape), direction)
+        out.origin[part], out.direction[part], out.n[part] = paths.origin + shift, paths.direction, paths.n
         kept = paths.transmission if scene.fresnel else np.ones(len(number))
         out.transmission[part] = np.where(paths.trapped, 0.0, kept)
         out.route[part] = paths.route

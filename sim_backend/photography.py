@@ -13,8 +13,10 @@ import scipy.sparse as sp
 from jaxtyping import Float32, Float64
 
 from drivers.protocols import Frame
+from sim_backend.disturbance import QUIET, Disturbance, disturbed_scene, rippled
 from sim_backend.footprint import axis_matrix, image_light, light_of, patch_matrix
 from sim_backend.light_paths import ScreenMap, SubRays, on_panel, screen_map, trace_sub_rays
+from sim_backend.marks import mark_light
 from sim_backend.scene import Scene
 from sim_backend.sensor import blur, frame_key, grey_levels, jpeg_bytes, noisy_grey
 from sim_backend.truth import Truth, compute_truth, save_truth
@@ -22,6 +24,7 @@ from sim_backend.truth import Truth, compute_truth, save_truth
 __all__ = ["Photographer", "Truth", "save_truth"]
 
 Values = Float32[np.ndarray, "rows columns"]
+Key = tuple[float, bool, bool, Disturbance]
 
 # Views kept at once: the four capture sets and two places on the way.
 VIEWS_KEPT = 6
@@ -34,10 +37,12 @@ MANY_COLUMNS = 1 / 8
 class View:
     """The display at one place, seen through one world, with the matrices made so far.
 
-    ``colours`` holds for each colour of the light its weight and where its rays meet the display.
+    ``colours`` holds for each colour of the light its weight and where its rays meet the display; ``marks`` what printed
+    marks cover and send.
     """
 
     colours: tuple[tuple[float, ScreenMap], ...]
+    marks: tuple[Values, Values] | None = None
     axes: dict[str, sp.csc_matrix] = field(default_factory=dict)
     patches: dict[tuple[int, int, int, int], sp.csr_matrix] = field(default_factory=dict)
 
@@ -46,34 +51,53 @@ class Photographer:
     """Takes photos of a scene; safe to use from several threads.
 
     Tracing happens at the first photo of each kind and is remembered. The noise of a photo depends only on the
-    scene's seed, the display's place, the liquid, the object and the frame: the same photo again is the same bytes.
+    scene's seed, the display's place, the liquid, the object and the frame: the same photo again is the same bytes. A
+    disturbance changes all of it; by default there is none.
     """
 
     def __init__(self, scene: Scene) -> None:
         self.scene = scene
         self._lock = threading.RLock()
-        self._rays: dict[tuple[bool, bool], Any] = {}
-        self._views: OrderedDict[tuple[float, bool, bool], View] = OrderedDict()
+        self._rays: OrderedDict[tuple[bool, bool, Disturbance], Any] = OrderedDict()
+        self._views: OrderedDict[Key, View] = OrderedDict()
 
-    def photograph(self, frame: Frame, *, stage_position_mm: float, wet: bool, object_present: bool = True) -> bytes:
+    def photograph(
+        self,
+        frame: Frame,
+        *,
+        stage_position_mm: float,
+        wet: bool,
+        object_present: bool = True,
+        disturbance: Disturbance = QUIET,
+    ) -> bytes:
         """Return the JPEG of one exposure."""
-        value = self._value(frame, stage_position_mm, wet, object_present)
+        value = self._value(frame, (float(stage_position_mm), wet, object_present, disturbance))
         camera = self.scene.camera
-        key = frame_key(frame, self.scene.seed, float(stage_position_mm), wet, object_present)
+        parts = () if disturbance == QUIET else (disturbance,)
+        key = frame_key(frame, self.scene.seed, float(stage_position_mm), wet, object_present, *parts)
         return jpeg_bytes(noisy_grey(value, camera, key=key), quality=camera.jpeg_quality)
 
-    def expected(self, frame: Frame, *, stage_position_mm: float, wet: bool, object_present: bool = True) -> Values:
+    def expected(
+        self,
+        frame: Frame,
+        *,
+        stage_position_mm: float,
+        wet: bool,
+        object_present: bool = True,
+        disturbance: Disturbance = QUIET,
+    ) -> Values:
         """Return the photo's grey levels, 0 to 255, without noise, rounding or JPEG."""
-        return grey_levels(self._value(frame, stage_position_mm, wet, object_present), self.scene.camera)
+        value = self._value(frame, (float(stage_position_mm), wet, object_present, disturbance))
+        return grey_levels(value, self.scene.camera)
 
     def pixel_coordinates(
-        self, *, stage_position_mm: float, wet: bool, object_present: bool = True
+        self, *, stage_position_mm: float, wet: bool, object_present: bool = True, disturbance: Disturbance = QUIET
     ) -> Float64[np.ndarray, "rows columns 2"]:
         """Return the mean device pixel (column, row) that each camera pixel sees, weighted by light; NaN where unlit."""
         camera = self.scene.camera
         total = np.zeros((camera.rows, camera.columns))
         moment = np.zeros((camera.rows, camera.columns, 2))
-        for share, places in self._view(stage_position_mm, wet, object_present).colours:
+        for share, places in self._view((float(stage_position_mm), wet, object_present, disturbance)).colours:
             lit = on_panel(self.scene, places.column_px, places.row_px)
             weight = np.where(lit, share * places.transmission.astype(np.float64), 0.0)
             total += self._pixel_sums(weight)
@@ -90,23 +114,44 @@ class Photographer:
         camera, fold = self.scene.camera, self.scene.camera.supersampling
         return fine.reshape(camera.rows, fold, camera.columns, fold).sum(axis=(1, 3))
 
-    def _view(self, stage_position_mm: float, wet: bool, object_present: bool) -> View:
-        key = (float(stage_position_mm), wet, object_present)
+    def _view(self, key: Key) -> View:
+        stage_position_mm, wet, object_present, disturbance = key
+        key = (stage_position_mm, wet, object_present, disturbance.of_paths())
         with self._lock:
             if key not in self._views:
-                rays = self._made(self._rays, (wet, object_present), lambda: self._trace(wet, object_present))
-                self._views[key] = View(tuple((weight, screen_map(self.scene, each, key[0])) for weight, each in rays))
+                scene = disturbed_scene(self.scene, disturbance)
+                rays = self._traced(scene, wet, object_present, disturbance)
+                marks_moved = self.scene.marks is not None and self.scene.marks.fixed_to == "holder"
+                marks = mark_light(scene, shift_mm=disturbance.object_shift_mm if marks_moved else (0.0, 0.0))
+                colours = tuple((weight, screen_map(scene, each, stage_position_mm)) for weight, each in rays)
+                self._views[key] = View(colours, marks)
                 while len(self._views) > VIEWS_KEPT:
                     self._views.popitem(last=False)
             self._views.move_to_end(key)
             return self._views[key]
 
-    def _trace(self, wet: bool, object_present: bool) -> tuple[tuple[float, SubRays], ...]:
+    def _traced(
+        self, scene: Scene, wet: bool, object_present: bool, disturbance: Disturbance
+    ) -> tuple[tuple[float, SubRays], ...]:
+        key = (wet, object_present, disturbance.before_the_surface())
+        rays = self._made(self._rays, key, lambda: self._trace(scene, wet, object_present, disturbance))
+        while len(self._rays) > VIEWS_KEPT:
+            self._rays.popitem(last=False)
+        camera_mm = np.array(scene.camera.position_mm)
+        if not wet:
+            return rays
+        return tuple(
+            (weight, rippled(each, disturbance, camera_mm=camera_mm, n_air=scene.n_air)) for weight, each in rays
+        )
+
+    def _trace(
+        self, scene: Scene, wet: bool, object_present: bool, disturbance: Disturbance
+    ) -> tuple[tuple[float, SubRays], ...]:
         worlds = [
-            (line.weight, self.scene.world(wet=wet, object_present=object_present, line=line))
-            for line in self.scene.spectrum()
+            (line.weight, scene.world(wet=wet, object_present=object_present, line=line)) for line in scene.spectrum()
         ]
-        return tuple((weight, trace_sub_rays(self.scene, world)) for weight, world in worlds)
+        shift_mm = disturbance.object_shift_mm
+        return tuple((weight, trace_sub_rays(scene, world, object_shift_mm=shift_mm)) for weight, world in worlds)
 
     def _made(self, store: dict[Any, Any], key: object, make: Callable[[], Any]) -> Any:
         if key not in store:
@@ -136,18 +181,24 @@ class Photographer:
             ),
         )
 
-    def _value(self, frame: Frame, stage_position_mm: float, wet: bool, object_present: bool) -> Values:
+    def _value(self, frame: Frame, key: Key) -> Values:
         """Return the expected share of full scale in each pixel."""
         self._check(frame)
-        view = self._view(stage_position_mm, wet, object_present)
+        view = self._view(key)
         camera = self.scene.camera
         if frame.image is not None:
             light = self._image_light(view, frame)
         else:
             light = self._stripe_light(view, frame)
             light += self._patch_light(view, frame)
-        light = blur(light.reshape(camera.rows, camera.columns), camera.blur_px)
-        light *= np.float32(camera.signal)
+        light = light.reshape(camera.rows, camera.columns)
+        dimmed = np.float32(camera.signal * key[-1].light)
+        if view.marks is not None:
+            covered, sent = view.marks
+            light = blur(light * (1 - covered) * dimmed + sent, camera.blur_px)
+            return light + np.float32(camera.ambient)
+        light = blur(light, camera.blur_px)
+        light *= dimmed
         light += np.float32(camera.ambient)
         return light
 

@@ -24,6 +24,7 @@ from sim_backend.scene_parts import (
     SceneCamera,
     SceneDisplay,
     SceneGlass,
+    SceneMarks,
     ScenePart,
     SceneVariation,
     SuggestedStripe,
@@ -37,6 +38,7 @@ __all__ = [
     "SceneDisplay",
     "SceneError",
     "SceneGlass",
+    "SceneMarks",
     "SceneVariation",
     "SpectralLine",
     "SuggestedStripe",
@@ -83,6 +85,7 @@ class Scene(ScenePart):
     display: SceneDisplay
     stage_positions_mm: tuple[Finite, Finite]
     camera: SceneCamera
+    marks: SceneMarks | None = None
     tank: Tank = Tank()
     stripe: SuggestedStripe = SuggestedStripe()
     seed: Annotated[int, Field(ge=0)] = 1

@@ -96,3 +96,17 @@ class SceneVariation(ScenePart):
     axial_per_mm: Finite = 0.0
     radial_per_mm2: Finite = 0.0
     step_mm: Positive = 0.1
+
+
+class SceneMarks(ScenePart):
+    """Square printed marks with rings, in a plane z = ``height_mm`` above the liquid, on the object's holder or the tank's rim.
+
+    ``radius_mm`` is that of the outer ring and half the square's side; ``light`` the share of full scale that their white sends
+    to the camera: room light, not the display's.
+    """
+
+    centres_mm: tuple[tuple[Finite, Finite], ...]
+    height_mm: Finite
+    radius_mm: Positive
+    light: Annotated[float, Field(gt=0, le=1)] = 0.5
+    fixed_to: Literal["holder", "rim"] = "holder"

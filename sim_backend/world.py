@@ -11,7 +11,9 @@ from dataclasses import dataclass, replace
 from typing import Any
 
 from drivers.protocols import Clock, FlowDirection, Frame
+from sim_backend.disturbance import QUIET, Disturbance
 from sim_backend.frame_equality import same_frame
+from sim_backend.unrest import Unrest
 
 # Photos know a dry tank and a filled one. The last per cent of the volume raises the level by less than the
 # meniscus is high, so that rounding in a pump's volume does not keep the object dry.
@@ -87,12 +89,14 @@ class Sight:
     wet: bool
     object_present: bool
     disturbed: bool
+    disturbance: Disturbance = QUIET
 
 
 class World:
     """Liquid, stage, display and object at the present of ``clock``; every method may be called from any thread.
 
-    ``on_change`` hears the new state whenever somebody did something to liquid, stage or object.
+    ``on_change`` hears the new state whenever somebody did something to liquid, stage or object. ``unrest`` is where tests
+    push and shake things.
     """
 
     def __init__(
@@ -107,6 +111,7 @@ class World:
         self.clock = clock
         self.tank = tank
         self.disturbed_photos = 0
+        self.unrest = Unrest()
         self._dark_frame = dark_frame
         self._state = state
         self._on_change = on_change
@@ -134,6 +139,7 @@ class World:
             self._advance()
             volume_ml = to_ml - self._state.tank_ml
             self._transfer("fill" if volume_ml > 0 else "drain", abs(volume_ml))
+            self.unrest.liquid_moved(self.clock.now_s())
             self._change()
 
     def flow_direction(self) -> FlowDirection | None:
@@ -160,6 +166,7 @@ class World:
         elapsed_s = self.clock.now_s() - flow.started_s
         turned_ml = flow.rate_ml_per_s * min(elapsed_s, flow.runs_s)
         self._transfer(flow.direction, turned_ml - self._state.turned_ml)
+        self.unrest.liquid_moved(flow.started_s + min(elapsed_s, flow.runs_s))
         self._state = replace(self._state, turned_ml=turned_ml, flow=None if elapsed_s >= flow.runs_s else flow)
 
     def _transfer(self, direction: FlowDirection, volume_ml: float) -> None:
@@ -245,7 +252,8 @@ class World:
             disturbed = changed or self.is_moving() or self.flow_direction() is not None
             self.disturbed_photos += disturbed
             state = self._state
-            return Sight(frame, frame_id, self.stage_mm(), self.is_wet(), state.object_present, disturbed)
+            wet, unrest = self.is_wet(), self.unrest.at(self.clock.now_s())
+            return Sight(frame, frame_id, self.stage_mm(), wet, state.object_present, disturbed, unrest)
 
     def state(self) -> WorldState:
         """Return liquid, stage and object as they are now."""
