@@ -11,6 +11,7 @@ from ptpip_host import Host
 from drivers.protocols import Frame
 from sim_backend.camera import SimulatedCamera
 from sim_backend.clock import RealClock, SimulatedClock
+from sim_backend.disturbance import QUIET, Disturbance
 from sim_backend.exposure import WorldExposure
 from sim_backend.ptpip.generic import GenericBody
 from sim_backend.ptpip.responder import Responder
@@ -37,6 +38,7 @@ class FlatOptics:
         stage_position_mm: float,  # noqa: ARG002
         wet: bool,  # noqa: ARG002
         object_present: bool = True,  # noqa: ARG002
+        disturbance: Disturbance = QUIET,  # noqa: ARG002
     ) -> bytes:
         assert frame.levels is not None
         return simplejpeg.encode_jpeg(np.full((16, 16, 1), frame.levels[0], np.uint8), quality=100, colorspace="GRAY")
