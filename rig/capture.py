@@ -24,7 +24,7 @@ from rig.session_manifest import manifest_of
 from rig.standstill import Standstill, clear_latch
 from rig.steps import PhotoKey
 from rig.stop_request import Boundary, StopRequest
-from rig.tank_keeper import tank_ml_now
+from rig.tank_keeper import learn_tank_ml
 from sim_backend.scene import Scene
 
 
@@ -89,7 +89,7 @@ def capture(
             manifest = manifest_of(config, devices=devices.records(), scene=scene)
             writer = stack.enter_context(SessionWriter.create(folder, manifest))
         with stop.at_once():
-            tank_ml = tank_ml_now(config, devices)
+            tank_ml = learn_tank_ml(devices, config, looked=checked)
         photos = summarise(plan_capture(config, done=done, tank_ml=tank_ml), config).photos
         no_room = disk_fault(folder, photo_mb=config.timing.photo_mb, photos=photos)
         if no_room is not None:
@@ -107,7 +107,6 @@ def capture(
             devices,
             writer,
             done=done,
-            tank_ml=tank_ml,
             progress=progress,
             standstill=Standstill(devices, writer, config, console=console, person=person, stop=stop),
             stop=stop,

@@ -21,13 +21,15 @@ from rig.causes import cause_of
 from rig.config import RigConfig
 from rig.devices import Devices
 from rig.errors import CaptureError, CaptureStopped
+from rig.flow import known_tank_ml
+from rig.ledger import level_text
 from rig.plan import all_photos, plan_capture
 from rig.progress import CaptureProgress
 from rig.sequencer import PlanAgain, Sequencer
 from rig.standstill import Standstill
 from rig.steps import PhotoKey, Step, step_duration_s
 from rig.stop_request import StopRequest
-from rig.tank_keeper import tank_ml_now
+from rig.tank_keeper import learn_tank_ml
 
 
 class CaptureRun:
@@ -40,7 +42,6 @@ class CaptureRun:
         writer: SessionWriter,
         *,
         done: frozenset[PhotoKey],
-        tank_ml: float,
         progress: CaptureProgress,
         standstill: Standstill,
         stop: StopRequest,
@@ -54,7 +55,7 @@ class CaptureRun:
         self._standstill = standstill
         self._stop = stop
         self._command = command
-        self._sequencer = Sequencer(devices, writer, config, tank_ml=tank_ml, progress=progress, stop=stop)
+        self._sequencer = Sequencer(devices, writer, config, progress=progress, stop=stop)
 
     @property
     def taken(self) -> frozenset[PhotoKey]:
@@ -97,7 +98,7 @@ class CaptureRun:
         plan = plan_capture(
             self._config,
             done=self._done | self.taken,
-            tank_ml=sequencer.tank.tank_ml,
+            tank_ml=known_tank_ml(self._devices) if self._config.tank else 0.0,
             position=sequencer.stage.position,
             object_present=sequencer.object_present,
         )
@@ -136,7 +137,7 @@ class CaptureRun:
                 self._standstill.latch(cause, error, how_to_resume=f"go on with `{self._command} --checked`")
                 self._sequencer.stage.forget()
                 with self._stop.at_once():
-                    self._sequencer.tank.tank_ml = tank_ml_now(self._config, self._devices)
+                    learn_tank_ml(self._devices, self._config, looked=True)
         except (CaptureStopped, KeyboardInterrupt):
             raise self._stopped("stopped") from None
 
@@ -144,7 +145,7 @@ class CaptureRun:
         return len({photo.key for photo in all_photos(self._config)} & (self._done | self.taken))
 
     def _where(self, how: str) -> str:
-        tank = f", the tank holds {self._sequencer.tank.tank_ml:.0f} ml" if self._config.tank else ""
+        tank = f", the tank holds {level_text(self._devices.book.ledger.tank)}" if self._config.tank else ""
         needed = len(all_photos(self._config))
         return f"{how} with {self._have()} of {needed} photos; pump and stage stand still{tank}"
 

@@ -79,11 +79,15 @@ class Capture(Part):
 
 
 class Tank(Part):
-    """The tank, its reservoir and its pump. ``fill_ml`` immerses the display side of the object."""
+    """The tank, its reservoir and its pump. ``fill_ml`` immerses the display side of the object.
+
+    ``reservoir_capacity_ml`` is what the reservoir can hold; without it, no more than was in it, ``reservoir_ml``.
+    """
 
     free_volume_ml: Positive
     fill_ml: Positive
     reservoir_ml: Positive
+    reservoir_capacity_ml: Positive | None = None
     has_pump: bool
     pump_rate_ml_per_min: Positive
     drain_at_end: bool
@@ -104,7 +108,17 @@ class Tank(Part):
                 f"reservoir_ml is {self.reservoir_ml:g}, less than fill_ml of {self.fill_ml:g}; "
                 "put more into the reservoir"
             )
+        if self.reservoir_can_hold_ml < self.reservoir_ml:
+            raise ValueError(
+                f"reservoir_capacity_ml is {self.reservoir_can_hold_ml:g}, less than reservoir_ml of "
+                f"{self.reservoir_ml:g}, which is in it; correct one of them"
+            )
         return self
+
+    @property
+    def reservoir_can_hold_ml(self) -> float:
+        """How much fits into the reservoir, as far as anybody has said."""
+        return self.reservoir_ml if self.reservoir_capacity_ml is None else self.reservoir_capacity_ml
 
 
 class StageTravel(Part):

@@ -4,7 +4,6 @@ Nothing here falls back to a simulated device: simulated devices come when they 
 configured, and anything else is an error.
 """
 
-import os
 import sys
 from collections.abc import Iterator
 from contextlib import ExitStack, contextmanager
@@ -24,11 +23,14 @@ from recon.manifest import DeviceRecord
 from rig.config import RigConfig
 from rig.emulation import emulate_rig
 from rig.errors import ConfigError
+from rig.ledger_book import LedgerBook, book_of, real_book
 from rig.operators import ConsoleOperator, Operator
-from rig.rehearsal import SimulatedOperator, Simulation, open_world
+from rig.rehearsal import SimulatedOperator, Simulation, ledger_file, open_world
+from rig.state_folder import state_folder
 from sim_backend.camera import SimulatedCamera
 from sim_backend.clock import RealClock
 from sim_backend.display import SimulatedDisplay
+from sim_backend.exposure import TakesPhotos
 from sim_backend.photography import Photographer
 from sim_backend.pump import SimulatedLevelSensor, SimulatedPump
 from sim_backend.stage import SimulatedStage
@@ -52,6 +54,7 @@ class Devices:
     level_sensor: LevelSensor | None
     operator: Operator
     clock: Clock
+    book: LedgerBook
 
     def records(self) -> dict[str, DeviceRecord]:
         """Return who answered, for the session's manifest."""
@@ -80,6 +83,7 @@ class TankDevices:
     level_sensor: LevelSensor | None
     operator: Operator
     clock: Clock
+    book: LedgerBook
     camera: Camera | None = None
 
 
@@ -103,7 +107,8 @@ def open_devices(config: RigConfig, *, simulation: Simulation | None) -> Iterato
             yield devices
         return
     with open_world(config, simulation) as world, ExitStack() as stack:
-        devices = simulated_devices(config, world, Photographer(simulation.scene))
+        book = book_of(config, ledger_file(simulation))
+        devices = simulated_devices(config, world, Photographer(simulation.scene), book=book)
         for device in (devices.camera, devices.display, devices.stage, devices.pump, devices.level_sensor):
             if device is not None:
                 stack.enter_context(device)
@@ -121,9 +126,8 @@ def open_real_devices(config: RigConfig) -> Iterator[Devices]:
             f"no {', '.join(missing)} configured: name driver and address in the section [devices] of the "
             "configuration, or rehearse with --sim"
         )
-    devices = real_devices(
-        config, display=real_display(config), operator=ConsoleOperator(), clock=RealClock(), kind="real"
-    )
+    display, operator, book = real_display(config), ConsoleOperator(), real_book(config)
+    devices = real_devices(config, display=display, operator=operator, clock=RealClock(), book=book, kind="real")
     with ExitStack() as stack:
         stack.enter_context(devices.display)
         devices.display.screen()  # waits until somebody has opened the page
@@ -149,8 +153,9 @@ def open_emulated_devices(config: RigConfig, simulation: Simulation) -> Iterator
         player = real_display(
             rig.config, kind="emulated", keep=Path(stack.enter_context(TemporaryDirectory(prefix="display-")))
         )
+        operator, book = SimulatedOperator(world), book_of(config, ledger_file(simulation))
         devices = real_devices(
-            rig.config, display=player, operator=SimulatedOperator(world), clock=world.clock, kind="emulated"
+            rig.config, display=player, operator=operator, clock=world.clock, book=book, kind="emulated"
         )
         stack.enter_context(player)
         rig.tablet.open(player.url())
@@ -159,7 +164,9 @@ def open_emulated_devices(config: RigConfig, simulation: Simulation) -> Iterator
         yield devices
 
 
-def real_devices(config: RigConfig, *, display: Display, operator: Operator, clock: Clock, kind: DeviceKind) -> Devices:
+def real_devices(
+    config: RigConfig, *, display: Display, operator: Operator, clock: Clock, book: LedgerBook, kind: DeviceKind
+) -> Devices:
     """Return the drivers that ``config`` names, not opened yet; ``kind`` is what the session records of them."""
     has_pump = config.tank is not None and config.tank.has_pump
     pump, level_sensor = real_pump(config, kind=kind) if has_pump else (None, None)
@@ -171,6 +178,7 @@ def real_devices(config: RigConfig, *, display: Display, operator: Operator, clo
         level_sensor=level_sensor,
         operator=operator,
         clock=clock,
+        book=book,
     )
 
 
@@ -237,7 +245,13 @@ def open_tank(config: RigConfig, *, simulation: Simulation | None) -> Iterator[D
         return
     pump, level_sensor = real_pump(config)
     with pump:
-        yield TankDevices(pump, level_sensor, ConsoleOperator(), RealClock())
+        yield TankDevices(
+            pump,
+            level_sensor,
+            ConsoleOperator(),
+            RealClock(),
+            real_book(config),
+        )
 
 
 def real_pump(config: RigConfig, *, kind: DeviceKind = "real") -> tuple[Pump, LevelSensor | None]:
@@ -361,14 +375,10 @@ def real_display(
     )
 
 
-def state_folder() -> Path:
-    """Return where this program keeps what outlives a command, after the XDG base directory specification."""
-    base = os.environ.get("XDG_STATE_HOME", "")
-    return (Path(base) if base else Path.home() / ".local" / "state") / "refractive-scan"
-
-
-def simulated_devices(config: RigConfig, world: World, photographer: Photographer) -> Devices:
-    """Return simulated devices that share ``world``; nothing is opened yet."""
+def simulated_devices(
+    config: RigConfig, world: World, photographer: TakesPhotos, *, book: LedgerBook | None = None
+) -> Devices:
+    """Return simulated devices that share ``world``; nothing is opened yet. Without ``book`` nothing is known beforehand."""
     exposure_s = EXPOSURE_FRACTION * config.timing.photo_s
     tank = config.tank
     return Devices(
@@ -383,4 +393,5 @@ def simulated_devices(config: RigConfig, world: World, photographer: Photographe
         level_sensor=SimulatedLevelSensor(world) if tank else None,
         operator=SimulatedOperator(world),
         clock=world.clock,
+        book=book or book_of(config, None),
     )

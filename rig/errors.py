@@ -10,7 +10,9 @@
     │   ├── WrongLevelError  the tank does not hold what it should after a flow
     │   ├── NotStoppedError  pump or stage did not obey a stop
     │   ├── WrongFrameError  a photo shows another frame than was commanded, or its tag cannot be read
+    │   ├── LevelUnknownError nobody knows what the tank holds
     │   └── DiskLowError     there is no room for the next photo
+    ├── LedgerError          what is known of the liquid cannot be read
     └── CaptureStopped       the operator asked to stop; the session is whole and can be resumed
 """
 
@@ -49,6 +51,14 @@ class WrongFrameError(CaptureError):
 
 class DiskLowError(CaptureError):
     """The disk has no room for the next photo."""
+
+
+class LevelUnknownError(CaptureError):
+    """Nobody knows what the tank holds, so that nothing may be pumped."""
+
+
+class LedgerError(RigError):
+    """The file that keeps what is known of the liquid cannot be read."""
 
 
 class CaptureStopped(RigError):

@@ -8,21 +8,23 @@ import typer
 
 from drivers.protocols import FlowDirection
 from rig import options
-from rig.config import RigConfig, Tank, longest_run_s
+from rig.config import RigConfig, Tank
 from rig.devices import Devices, TankDevices, open_tank
 from rig.errors import ConfigError
-from rig.flow import check_volume, run_flow
+from rig.flow import check_level_after, check_pump_stands, check_volume, known_tank_ml, learn_level, run_flow
+from rig.ledger import Destination, LevelLearnt, level_text
 from rig.options import choose_rig
 from rig.scene_config import SceneOptions
 from rig.stop_request import StopRequest
-from rig.tank_keeper import tank_ml_now
 
 app = typer.Typer(
-    help="The pump by hand: fill, drain, prime, calibrate, stop, state. With --sim and --state FILE the tank keeps its "
-    "liquid from command to command.",
+    help="The pump by hand: fill, drain, prime, calibrate, stop, status, level. What tank and reservoir hold is remembered from "
+    "command to command; with --sim, in and beside --state FILE.",
     no_args_is_help=True,
 )
-VolumeArgument = Annotated[float, typer.Argument(metavar="ML", help="How much to pump, in ml.")]
+VolumeArgument = Annotated[
+    float | None, typer.Argument(metavar="[ML]", help="How much to pump, in ml.", show_default=False)
+]
 
 
 def _tank(config: RigConfig) -> Tank:
@@ -31,46 +33,71 @@ def _tank(config: RigConfig) -> Tank:
     return config.tank
 
 
-def _level_text(devices: Devices | TankDevices, tank: Tank) -> str:
-    if devices.level_sensor is None:
-        return "no level sensor: look at the tank"
-    return f"the tank holds {devices.level_sensor.volume_ml():.0f} ml of {tank.free_volume_ml:.0f} ml"
+def _print_levels(devices: Devices | TankDevices, tank: Tank) -> None:
+    ledger = devices.book.ledger
+    print(f"tank: {level_text(ledger.tank, limit_ml=tank.free_volume_ml)}")
+    print(f"reservoir: {level_text(ledger.reservoir, limit_ml=tank.reservoir_can_hold_ml)}")
 
 
-def _flow(config: RigConfig, devices: Devices | TankDevices, direction: FlowDirection, *, volume_ml: float) -> float:
+def _flow(
+    config: RigConfig,
+    devices: Devices | TankDevices,
+    direction: FlowDirection,
+    *,
+    volume_ml: float | None = None,
+    to_ml: float | None = None,
+    into: Destination = "vessel",
+) -> float:
     """Pump under the rules for the tank and return what the pump counted; Ctrl-C stops it."""
     tank = _tank(config)
     with StopRequest() as stop:
-        check_volume(direction, volume_ml=volume_ml, tank_ml=tank_ml_now(config, devices), tank=tank)
+        learn_level(devices, config)
+        check_pump_stands(devices, purpose=f"start a {direction}")
+        tank_ml = known_tank_ml(devices)
+        if volume_ml is None:
+            volume_ml = ((to_ml or 0.0) - tank_ml) * (1 if direction == "fill" else -1)
+            if volume_ml <= 0:
+                return 0.0
+        check_volume(direction, volume_ml=volume_ml, tank_ml=tank_ml, tank=tank)
         return run_flow(
             devices,
+            config,
             direction,
             volume_ml=volume_ml,
-            max_run_s=longest_run_s(volume_ml, tank),
+            to_ml=to_ml,
+            into=into,
             on_poll=lambda _moved_ml: stop.check(),
         )
 
 
 def _pump(
     direction: FlowDirection,
-    volume_ml: float,
+    volume_ml: float | None,
+    to_ml: float | None,
     sim: bool,
     config: Path | None,
     scene: str | None,
     state: Path | None,
     real_time: bool,
 ) -> None:
+    if (volume_ml is None) == (to_ml is None):
+        raise ConfigError(f"a {direction} needs either how much to pump (ML) or what the tank shall hold (--to ML)")
     rig = choose_rig(sim, config, scene, SceneOptions())
     tank = _tank(rig.config)
     simulation = rig.simulation(real_time=real_time, state_file=state)
     with open_tank(rig.config, simulation=simulation) as devices:
-        moved_ml = _flow(rig.config, devices, direction, volume_ml=volume_ml)
-        print(f"pump: {moved_ml:.0f} ml counted; {_level_text(devices, tank)}")
+        moved_ml = _flow(rig.config, devices, direction, volume_ml=volume_ml, to_ml=to_ml)
+        print(f"pump: {moved_ml:.0f} ml counted")
+        check_level_after(devices, rig.config, moved_ml=moved_ml)
+        _print_levels(devices, tank)
 
 
 @app.command()
 def fill(
-    volume_ml: VolumeArgument,
+    volume_ml: VolumeArgument = None,
+    to_ml: Annotated[
+        float | None, typer.Option("--to", metavar="ML", min=0.0, help="Fill until the tank holds this much.")
+    ] = None,
     sim: options.SimOption = False,
     config: options.ConfigOption = None,
     scene: options.SceneOption = None,
@@ -79,22 +106,27 @@ def fill(
 ) -> None:
     """Pump liquid into the tank.
 
-    More than the tank may hold is refused before anything flows. Ctrl-C stops the pump.
+    With --to, the level sensor ends the fill where there is one; else the ledger says how much is missing. More than the
+    tank may hold is refused before anything flows, and so is a fill while nobody knows what the tank holds. Ctrl-C stops
+    the pump.
     """
-    _pump("fill", volume_ml, sim, config, scene, state, real_time)
+    _pump("fill", volume_ml, to_ml, sim, config, scene, state, real_time)
 
 
 @app.command()
 def drain(
-    volume_ml: VolumeArgument,
+    volume_ml: VolumeArgument = None,
+    to_ml: Annotated[
+        float | None, typer.Option("--to", metavar="ML", min=0.0, help="Drain until the tank holds this much.")
+    ] = None,
     sim: options.SimOption = False,
     config: options.ConfigOption = None,
     scene: options.SceneOption = None,
     state: options.StateOption = None,
     real_time: options.RealTimeOption = False,
 ) -> None:
-    """Pump liquid out of the tank, back into the reservoir."""
-    _pump("drain", volume_ml, sim, config, scene, state, real_time)
+    """Pump liquid out of the tank, back into the reservoir, under the same rules as a fill."""
+    _pump("drain", volume_ml, to_ml, sim, config, scene, state, real_time)
 
 
 @app.command()
@@ -110,7 +142,7 @@ def prime(
 
     Call it again until no bubbles come.
     """
-    _pump("fill", volume_ml, sim, config, scene, state, real_time)
+    _pump("fill", volume_ml, None, sim, config, scene, state, real_time)
 
 
 @app.command()
@@ -132,7 +164,10 @@ def calibrate(
     simulation = rig.simulation(real_time=real_time, state_file=state)
     with open_tank(rig.config, simulation=simulation) as devices:
         direction: FlowDirection = "drain" if drain_side else "fill"
-        counted_ml = _flow(rig.config, devices, direction, volume_ml=rate_ml_per_min / 60 * duration_s)
+        volume_ml = rate_ml_per_min / 60 * duration_s
+        counted_ml = _flow(rig.config, devices, direction, volume_ml=volume_ml, into="cylinder")
+        if devices.level_sensor is not None:
+            devices.book.note(LevelLearnt("tank", devices.level_sensor.volume_ml(), "measured"))
     if counted_ml <= 0:
         raise ConfigError("the pump counted nothing, so there is nothing to measure; look at the pump and try again")
     measured_ml: float = typer.prompt("volume in the measuring cylinder, ml", type=float)
@@ -173,22 +208,55 @@ def stop(
     with open_tank(rig.config, simulation=rig.simulation(real_time=False, state_file=state)) as devices:
         assert devices.pump is not None  # the tank has one
         devices.pump.stop()
-        print(f"pump: stands still; {_level_text(devices, tank)}")
+        print("pump: stands still")
+        learn_level(devices, rig.config)
+        _print_levels(devices, tank)
 
 
-@app.command(name="state")
-def show_state(
+@app.command()
+def status(
     sim: options.SimOption = False,
     config: options.ConfigOption = None,
     scene: options.SceneOption = None,
     state: options.StateOption = None,
 ) -> None:
-    """Say whether the pump runs, and what the tank holds."""
+    """Say whether the pump runs, and what tank and reservoir hold, as far as anybody knows."""
     rig = choose_rig(sim, config, scene, SceneOptions())
     tank = _tank(rig.config)
     with open_tank(rig.config, simulation=rig.simulation(real_time=False, state_file=state)) as devices:
         assert devices.pump is not None  # the tank has one
-        status = devices.pump.status()
-        running = f"{status.direction}s, {status.moved_ml:.0f} ml so far" if status.running else "stands still"
-        alarm = f", alarm {status.alarm!r}" if status.alarm else ""
-        print(f"pump: {running}{alarm}; {_level_text(devices, tank)}")
+        found = devices.pump.status()
+        running = f"{found.direction}s, {found.moved_ml:.0f} ml so far" if found.running else "stands still"
+        print(f"pump: {running}" + (f", alarm {found.alarm!r}" if found.alarm else ""))
+        learn_level(devices, rig.config)
+        _print_levels(devices, tank)
+
+
+@app.command()
+def level(
+    tank_ml: Annotated[float, typer.Argument(metavar="ML", min=0.0, help="What the tank holds, in ml.")],
+    reservoir_ml: Annotated[
+        float | None, typer.Option("--reservoir", metavar="ML", min=0.0, help="What the reservoir holds, in ml.")
+    ] = None,
+    sim: options.SimOption = False,
+    config: options.ConfigOption = None,
+    scene: options.SceneOption = None,
+    state: options.StateOption = None,
+) -> None:
+    """Say what the tank holds, after you have looked: the ledger then knows it again.
+
+    Without --reservoir, what is not in the tank is taken to be in the reservoir.
+    """
+    rig = choose_rig(sim, config, scene, SceneOptions())
+    tank = _tank(rig.config)
+    for vessel, told_ml, limit_ml in (
+        ("tank", tank_ml, tank.free_volume_ml),
+        ("reservoir", reservoir_ml or 0.0, tank.reservoir_can_hold_ml),
+    ):
+        if not told_ml <= limit_ml:
+            raise ConfigError(f"{told_ml:g} ml in the {vessel} told, it can hold {limit_ml:g} ml; measure again")
+    with open_tank(rig.config, simulation=rig.simulation(real_time=False, state_file=state)) as devices:
+        devices.book.note(LevelLearnt("tank", tank_ml, "told"))
+        if reservoir_ml is not None:
+            devices.book.note(LevelLearnt("reservoir", reservoir_ml, "told"))
+        _print_levels(devices, tank)

@@ -39,6 +39,9 @@ def open_world(config: RigConfig, simulation: Simulation) -> Iterator[World]:
     if simulation.state_file is None:
         yield from _lasting_as_long_as_asked(new_world(config, _clock(simulation), fresh_state(config)))
         return
+    ledger = ledger_file(simulation)
+    if ledger is not None and not simulation.state_file.exists():
+        ledger.unlink(missing_ok=True)  # what was known of a world that is gone
     file = WorldFile(simulation.state_file)
     state = load_state(simulation.state_file) if simulation.state_file.exists() else fresh_state(config)
     clock = _clock(simulation, start_s=state.at_s, on_move=file.keep_time)
@@ -57,6 +60,12 @@ def _lasting_as_long_as_asked(world: World) -> Iterator[World]:
     finally:
         world.stop_flow()
         world.stop_motion()
+
+
+def ledger_file(simulation: Simulation) -> Path | None:
+    """Return where it is kept what the rig knows of the simulated liquid; None for a world that does not last."""
+    path = simulation.state_file
+    return None if path is None else path.with_name(path.name + ".liquid.jsonl")
 
 
 def _clock(

@@ -49,7 +49,6 @@ class Sequencer:
         writer: SessionWriter,
         config: RigConfig,
         *,
-        tank_ml: float,
         progress: CaptureProgress,
         stop: StopRequest,
     ) -> None:
@@ -59,7 +58,7 @@ class Sequencer:
         self._progress = progress
         self._stop = stop
         self.stage = StageMoves(devices, writer.journal, config)
-        self.tank = TankKeeper(devices, writer.journal, config, tank_ml=tank_ml)
+        self.tank = TankKeeper(devices, writer.journal, config)
         self.photos = PhotoTaker(devices, writer, config, stage=self.stage, wait=self._wait)
         self.object_present: bool | None = None
 

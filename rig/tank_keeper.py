@@ -1,4 +1,4 @@
-"""The liquid's part of a capture: fill and drain as planned, and know what the tank holds afterwards."""
+"""The liquid's part of a capture: fill and drain as planned, with the session's journal beside the ledger."""
 
 from collections.abc import Callable
 
@@ -6,45 +6,83 @@ from drivers.protocols import FlowDirection
 from recon.journal import JournalWriter
 from rig.causes import part_of_rig
 from rig.config import RigConfig
-from rig.devices import Devices, TankDevices
+from rig.devices import Devices
 from rig.errors import CaptureError, WrongLevelError
-from rig.flow import check_pump_stands, check_volume, run_flow
+from rig.flow import check_level_after, check_pump_stands, check_volume, known_tank_ml, learn_level, run_flow
+from rig.ledger import Known, LevelLearnt, Unknown
 from rig.plan import LEVEL_TOLERANCE
 from rig.steps import DrainTank, FillTank, Request
 
 
-class TankKeeper:
-    """Moves the liquid. ``tank_ml`` is the ledger: what the tank holds, as far as we know."""
+def learn_tank_ml(devices: Devices, config: RigConfig, *, looked: bool = False) -> float:
+    """Return what the tank holds: by sensor, by ledger, or by asking the operator where neither knows.
 
-    def __init__(self, devices: Devices, journal: JournalWriter, config: RigConfig, *, tank_ml: float) -> None:
+    Where a person pours, only a person knows. ``looked``: somebody stands beside the tank because something was in doubt;
+    then they are also asked when sensor and ledger contradict each other.
+
+    Raises
+    ------
+    WrongLevelError
+        When the level sensor contradicts the ledger, or the person who has looked.
+    """
+    tank, book = config.tank, devices.book
+    if tank is None:
+        return 0.0
+    try:
+        learn_level(devices, config)
+        in_doubt = isinstance(book.ledger.tank, Unknown) or not (tank.has_pump or devices.level_sensor)
+    except WrongLevelError:
+        if not looked:
+            raise
+        in_doubt = True
+    if in_doubt:
+        book.note(LevelLearnt("tank", devices.operator.tank_ml(fill_ml=tank.fill_ml), "told"))
+        learn_level(devices, config)
+    return known_tank_ml(devices)
+
+
+class TankKeeper:
+    """Moves the liquid. What the tank holds is in the ledger (``devices.book``)."""
+
+    def __init__(self, devices: Devices, journal: JournalWriter, config: RigConfig) -> None:
         self._devices = devices
         self._journal = journal
         self._config = config
-        self.tank_ml = tank_ml
+
+    @property
+    def tank_ml(self) -> float | None:
+        """What the tank holds, None while nobody knows."""
+        level = self._devices.book.ledger.tank
+        return level.ml if isinstance(level, Known) else None
 
     def flow(self, step: FillTank | DrainTank, *, on_poll: Callable[[float], None]) -> None:
         """Fill or drain as planned; ``on_poll`` gets the millilitres so far, and what it raises ends the flow."""
         direction: FlowDirection = "fill" if isinstance(step, FillTank) else "drain"
-        pump, tank = self._devices.pump, self._config.tank
-        if pump is None or tank is None:
+        tank = self._config.tank
+        if self._devices.pump is None or tank is None:
             raise CaptureError(f"the plan asks for a {direction}, but this rig has no pump; check section [tank]")
         check_pump_stands(self._devices, purpose=f"start a {direction}")
-        check_volume(direction, volume_ml=step.volume_ml, tank_ml=self.tank_ml, tank=tank)
-        before_ml = self.tank_ml
+        before_ml = known_tank_ml(self._devices)
+        check_volume(direction, volume_ml=step.volume_ml, tank_ml=before_ml, tank=tank)
         self._journal.append(
             f"{direction}_started", volume_ml=step.volume_ml, to_ml=step.to_ml, max_run_s=step.max_run_s
         )
         try:
             with part_of_rig("pump"):
-                run_flow(self._devices, direction, volume_ml=step.volume_ml, max_run_s=step.max_run_s, on_poll=on_poll)
+                moved_ml = run_flow(
+                    self._devices, self._config, direction, volume_ml=step.volume_ml, to_ml=step.to_ml, on_poll=on_poll
+                )
+                check_level_after(self._devices, self._config, moved_ml=moved_ml)
         finally:
-            with part_of_rig("pump"):
-                moved_ml = pump.status().moved_ml
-            self.tank_ml = self._level_ml(before_ml + (moved_ml if direction == "fill" else -moved_ml))
-            self._journal.append(f"{direction}_stopped", moved_ml=moved_ml, tank_ml=self.tank_ml)
-        if abs(self.tank_ml - step.to_ml) > LEVEL_TOLERANCE * tank.fill_ml:
+            # A flow of which nobody knows the end has none in the journal.
+            if self.tank_ml is not None:
+                self._journal.append(
+                    f"{direction}_stopped", moved_ml=abs(self.tank_ml - before_ml), tank_ml=self.tank_ml
+                )
+        now_ml = known_tank_ml(self._devices)
+        if abs(now_ml - step.to_ml) > LEVEL_TOLERANCE * tank.fill_ml:
             raise WrongLevelError(
-                f"the {direction} ended with {self.tank_ml:.0f} ml in the tank instead of {step.to_ml:.0f} ml "
+                f"the {direction} ended with {now_ml:.0f} ml in the tank instead of {step.to_ml:.0f} ml "
                 f"(the pump counted {moved_ml:.0f} ml); look for a leak, an empty reservoir or a worn tube, then resume"
             )
 
@@ -52,18 +90,6 @@ class TankKeeper:
         """Take down what a person did with the liquid."""
         tank = self._config.tank
         if tank is not None and request in ("fill_tank", "drain_tank"):
-            self.tank_ml = self._level_ml(tank.fill_ml if request == "fill_tank" else 0.0)
-
-    def _level_ml(self, ledger_ml: float) -> float:
-        """Return what the tank holds: what the sensor says where there is one, else what the pump counted."""
-        sensor = self._devices.level_sensor
-        return ledger_ml if sensor is None else sensor.volume_ml()
-
-
-def tank_ml_now(config: RigConfig, devices: Devices | TankDevices) -> float:
-    """Return what the tank holds, from its sensor or from a person; never from what a journal expects."""
-    if config.tank is None:
-        return 0.0
-    if devices.level_sensor is not None:
-        return devices.level_sensor.volume_ml()
-    return devices.operator.tank_ml(fill_ml=config.tank.fill_ml)
+            told_ml = tank.fill_ml if request == "fill_tank" else 0.0
+            self._devices.book.note(LevelLearnt("tank", told_ml, "told"))
+            learn_level(self._devices, self._config)

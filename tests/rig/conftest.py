@@ -50,6 +50,14 @@ def thin_config(thin_scene: Scene) -> RigConfig:
     return config_of_scene(thin_scene, TINY)
 
 
+@pytest.fixture(autouse=True)
+def own_state_folder(monkeypatch: pytest.MonkeyPatch, tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """Keep what a test learns of its liquid out of the user's own folder, and from the next test."""
+    folder = tmp_path_factory.mktemp("state")
+    monkeypatch.setenv("XDG_STATE_HOME", str(folder))
+    return folder
+
+
 @pytest.fixture
 def quiet() -> Console:
     return Console(quiet=True)

@@ -14,6 +14,7 @@ from drivers.zaber_stage import ZaberStage
 from rig.config import DeviceAddresses, PumpDriver, RigConfig
 from rig.devices import Devices, open_real_devices, real_devices, real_display
 from rig.errors import ConfigError
+from rig.ledger_book import book_of
 from rig.operators import ConsoleOperator
 from sim_backend.clock import RealClock
 
@@ -37,7 +38,9 @@ def lab(config: RigConfig, addresses: dict[str, str], **parts: Any) -> RigConfig
 
 def composed(config: RigConfig, tmp_path: Path) -> Devices:
     display = real_display(config, keep=tmp_path)
-    return real_devices(config, display=display, operator=ConsoleOperator(), clock=RealClock(), kind="real")
+    return real_devices(
+        config, display=display, operator=ConsoleOperator(), clock=RealClock(), book=book_of(config, None), kind="real"
+    )
 
 
 def test_every_device_is_the_driver_that_its_address_names(config: RigConfig, tmp_path: Path) -> None:

@@ -116,7 +116,7 @@ WRONG = [
     (("pump", "fill", "6001", "--sim"), "the tank holds 0 ml and may hold 6000 ml"),
     (("pump", "fill", "0", "--sim"), "needs a volume above 0 ml"),
     (("pump", "fill", "nan", "--sim"), "needs a volume above 0 ml"),
-    (("pump", "state", "--sim", "--scene", "thin_cone"), "this rig has no pump"),
+    (("pump", "status", "--sim", "--scene", "thin_cone"), "this rig has no pump"),
 ]
 
 
@@ -159,10 +159,16 @@ def test_a_damaged_manifest_is_refused_in_one_sentence(rig: Run, tiny_arguments,
 
 def test_the_simulated_tank_keeps_its_liquid_between_commands(rig: Run) -> None:
     kept = ("--sim", "--state", "bench.json")
-    assert rig("pump", "fill", "1500", *kept)[1] == "pump: 1500 ml counted; the tank holds 1500 ml of 6000 ml\n"
-    assert rig("pump", "state", *kept)[1] == "pump: stands still; the tank holds 1500 ml of 6000 ml\n"
-    assert rig("pump", "drain", "500", *kept)[1] == "pump: 500 ml counted; the tank holds 1000 ml of 6000 ml\n"
-    assert rig("pump", "stop", *kept)[1] == "pump: stands still; the tank holds 1000 ml of 6000 ml\n"
+    for arguments, said, tank_ml in (
+        (("fill", "1500"), "1500 ml counted", 1500),
+        (("status",), "stands still", 1500),
+        (("drain", "500"), "500 ml counted", 1000),
+        (("stop",), "stands still", 1000),
+    ):
+        lines = rig("pump", *arguments, *kept)[1].splitlines()
+        assert lines[0] == f"pump: {said}"
+        assert lines[1].startswith(f"tank: {tank_ml} ml of 6000 ml (measured at ")
+        assert lines[2].startswith(f"reservoir: {4200 - tank_ml} ml of 4200 ml (counted at ")  # 1.05 times the fill
     assert rig("pump", "fill", "5001", *kept)[0] == 1
 
 

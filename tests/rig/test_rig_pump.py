@@ -1,7 +1,7 @@
 """``rig pump`` with real drivers: the pumps are emulated on pseudo terminals, the rest is what an operator runs."""
 
 import sys
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from pathlib import Path
 
 import numpy as np
@@ -9,6 +9,8 @@ import pytest
 
 from drivers.protocols import Frame
 from rig.cli import main
+from rig.ledger import FlowBegun
+from rig.ledger_book import LedgerBook
 from sim_backend.clock import RealClock
 from sim_backend.new_era_emulator import NewEraEmulator
 from sim_backend.tank_board_emulator import TankBoardEmulator
@@ -57,7 +59,12 @@ def test_a_tank_board_fills_and_says_what_the_tank_holds(rig: Run, world: World)
     board = TankBoardEmulator(world, fill_ml_per_s=10.0, drain_ml_per_s=10.0, full_at_ml=5500.0)
     with PtyServer(board) as wire:
         configure(rig, pump=f"tank_board:{wire.address}", section="level_points = [[0, 0.0], [600, 6000.0]]")
-        assert rig("pump", "fill", "20") == (0, "pump: 20 ml counted; the tank holds 20 ml of 6000 ml\n", "")
+        code, out, err = rig("pump", "fill", "20")
+        assert (code, err) == (0, "")
+        counted, tank, reservoir = out.splitlines()
+        assert counted == "pump: 20 ml counted"
+        assert tank.startswith("tank: 20 ml of 6000 ml (measured at ")
+        assert reservoir.startswith("reservoir: 4980 ml of 5000 ml (counted at ")
         assert world.state().tank_ml == pytest.approx(20.0, abs=0.2)
         code, out, err = rig("pump", "fill", "5990")
         assert (code, out) == (1, "")
@@ -72,8 +79,9 @@ def test_a_tank_board_fills_and_says_what_the_tank_holds(rig: Run, world: World)
 def test_a_new_era_pump_stands_still_on_request_and_says_so(rig: Run, world: World) -> None:
     with PtyServer(NewEraEmulator(world)) as wire:
         configure(rig, pump=f"new_era:{wire.address}", section="diameter_mm = 26.59")
-        assert rig("pump", "stop") == (0, "pump: stands still; no level sensor: look at the tank\n", "")
-        assert rig("pump", "state")[1] == "pump: stands still; no level sensor: look at the tank\n"
+        unknown = "tank: unknown: nobody has said yet\nreservoir: unknown: nobody has said yet\n"
+        assert rig("pump", "stop") == (0, f"pump: stands still\n{unknown}", "")
+        assert rig("pump", "status") == (0, f"pump: stands still\n{unknown}", "")
 
 
 @pytest.mark.parametrize(
@@ -123,8 +131,118 @@ def test_calibrating_a_new_era_pump_changes_its_diameter_by_the_square_root(
 ) -> None:
     with PtyServer(NewEraEmulator(world)) as wire:
         configure(rig, pump=f"new_era:{wire.address}", section="diameter_mm = 20.0")
-        monkeypatch.setattr("rig.operators.ConsoleOperator.tank_ml", lambda *_args, **_settings: 0.0)
+        assert rig("pump", "level", "0")[0] == 0
         monkeypatch.setattr("typer.prompt", lambda *_args, **_settings: 12.1)  # 10 ml counted: 1.1 times the diameter
         code, out, err = rig("pump", "calibrate", "1")
     assert (code, err) == (0, "")
     assert out.endswith("write diameter_mm = 22.00 in section [pump]\n")
+
+
+# What is remembered from command to command
+
+
+@pytest.fixture
+def told_empty(rig: Run, world: World) -> Iterator[Run]:
+    """Return ``rig`` with a New Era pump, which has no level sensor, and a tank that was told to be empty."""
+    with PtyServer(NewEraEmulator(world)) as wire:
+        configure(rig, pump=f"new_era:{wire.address}", section="diameter_mm = 26.59")
+        assert rig("pump", "level", "0")[0] == 0
+        yield rig
+
+
+def tank_line(told: tuple[int, str, str]) -> str:
+    return next(line for line in told[1].splitlines() if line.startswith("tank: "))
+
+
+def test_without_a_sensor_the_ledger_counts_from_command_to_command(told_empty: Run, world: World) -> None:
+    assert tank_line(told_empty("pump", "fill", "20")).startswith("tank: 20 ml of 6000 ml (counted at ")
+    code, out, _ = told_empty("pump", "fill", "--to", "30")
+    assert (code, out.splitlines()[0]) == (0, "pump: 10 ml counted")
+    assert world.state().tank_ml == pytest.approx(30.0)
+    assert told_empty("pump", "fill", "--to", "30")[1].startswith("pump: 0 ml counted")
+    told_empty("pump", "drain", "--to", "5")
+    assert world.state().tank_ml == pytest.approx(5.0)
+    assert tank_line(told_empty("pump", "status")).startswith("tank: 5 ml of 6000 ml (counted at ")
+
+
+@pytest.mark.parametrize(
+    "asked", [("fill", "10"), ("fill", "--to", "10"), ("drain", "10"), ("prime", "10"), ("calibrate",)]
+)
+def test_after_a_crash_nothing_is_pumped_until_somebody_says_what_the_tank_holds(
+    told_empty: Run, world: World, own_state_folder: Path, asked: tuple[str, ...]
+) -> None:
+    (path,) = own_state_folder.glob("refractive-scan/liquid/*.jsonl")
+    LedgerBook(path, total_ml=5000.0).note(FlowBegun("fill", 300.0))  # and then the program was killed
+    code, out, err = told_empty("pump", *asked)
+    assert (code, out) == (1, "")
+    assert err.startswith("rig: what the tank holds is unknown (a fill of 300 ml began at ")
+    assert err.endswith("measure it and say so with `rig pump level ML`, before anything is pumped\n")
+    assert "unknown" in tank_line(told_empty("pump", "status"))
+    assert world.state().tank_ml == 0.0
+    told_empty("pump", "level", "7")
+    assert told_empty("pump", "fill", "10")[0] == 0
+    assert tank_line(told_empty("pump", "status")).startswith("tank: 17 ml")
+
+
+def test_an_alarm_in_mid_fill_leaves_the_tank_unknown(rig: Run, world: World) -> None:
+    board = TankBoardEmulator(world, fill_ml_per_s=10.0, drain_ml_per_s=10.0, full_at_ml=10.0)
+    with PtyServer(board) as wire:
+        configure(rig, pump=f"tank_board:{wire.address}")
+        rig("pump", "level", "0")
+        code, _, err = rig("pump", "fill", "40")
+        assert code == 1
+        assert "over-fill contact is open" in err
+        assert tank_line(rig("pump", "status")).startswith("tank: unknown: a fill of 40 ml ended with: pump: alarm")
+
+
+def test_a_level_sensor_that_contradicts_the_ledger_is_not_believed_until_a_person_has_looked(
+    rig: Run, world: World
+) -> None:
+    board = TankBoardEmulator(world, fill_ml_per_s=10.0, drain_ml_per_s=10.0)
+    with PtyServer(board) as wire:
+        configure(rig, pump=f"tank_board:{wire.address}", section="level_points = [[0, 0.0], [600, 6000.0]]")
+        assert rig("pump", "level", "4000")[0] == 0
+        for _ in range(2):  # asking again does not make the sensor right
+            code, _, err = rig("pump", "fill", "10")
+            assert code == 1
+            assert err.startswith(
+                "rig: the level sensor says that the tank holds 0 ml, the ledger says 4000 ml (told at "
+            )
+            assert "then say what the tank holds with `rig pump level`" in err
+        assert rig("pump", "level", "0")[0] == 0
+        assert rig("pump", "fill", "10")[0] == 0
+
+
+@pytest.mark.parametrize("asked", [("fill",), ("fill", "10", "--to", "20"), ("drain",)])
+def test_a_flow_without_one_clear_end_is_refused(rig: Run, asked: tuple[str, ...]) -> None:
+    code, _, err = rig("pump", *asked, "--sim")
+    assert code == 1
+    assert err.startswith(f"rig: a {asked[0]} needs either how much to pump (ML) or what the tank shall hold (--to ML)")
+
+
+@pytest.mark.parametrize("told", [("7000",), ("100", "--reservoir", "5001")])
+def test_a_level_that_cannot_be_is_refused(told_empty: Run, told: tuple[str, ...]) -> None:
+    code, _, err = told_empty("pump", "level", *told)
+    assert code == 1
+    assert "it can hold" in err
+
+
+def test_a_rehearsal_remembers_beside_its_state_and_forgets_with_it(rig: Run, tmp_path: Path) -> None:
+    state = tmp_path / "bench.json"
+    assert tank_line(rig("pump", "fill", "--to", "300", "--sim", "--state", str(state))).startswith("tank: 300 ml")
+    assert (tmp_path / "bench.json.liquid.jsonl").exists()
+    state.unlink()
+    assert tank_line(rig("pump", "status", "--sim", "--state", str(state))).startswith("tank: 0 ml of ")
+
+
+def test_a_fill_to_a_level_is_ended_by_the_sensor_when_the_pump_is_faster_than_its_rate_says(
+    rig: Run, world: World
+) -> None:
+    # 600 ml/min are configured, so 20 ml are 2 s; the pump moves 8 per cent more than that.
+    board = TankBoardEmulator(world, fill_ml_per_s=10.8, drain_ml_per_s=10.0, counts_per_ml=10.0)
+    with PtyServer(board) as wire:
+        configure(rig, pump=f"tank_board:{wire.address}", section="level_points = [[0, 0.0], [1000, 100.0]]")
+        code, _, err = rig("pump", "fill", "--to", "20")
+        assert (code, err) == (0, "")
+    # Between two questions lie 20 ms or more, and the pump stops after the second.
+    assert 20.0 <= world.state().tank_ml <= 21.5

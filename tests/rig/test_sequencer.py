@@ -206,7 +206,9 @@ def test_a_reservoir_that_runs_dry_stops_the_capture_and_says_what_to_look_at(
 ) -> None:
     with open_bench(config, scene) as (devices, world):
         world._state = WorldState(reservoir_ml=1000.0)
-        with pytest.raises(CaptureError, match=r"1000 ml in the tank instead of 4000 ml.*reservoir"):
+        with pytest.raises(
+            CaptureError, match=r"sensor says .* 1000 ml, the ledger says 4\d{3} ml \(counted.*empty reservoir"
+        ):
             capture(config, tmp_path / "session", devices=devices, scene=scene, resume=False, console=quiet)
         assert world.disturbed_photos == 0
 
