@@ -75,7 +75,7 @@ class CaptureRun:
         try:
             self._until_done()
         except (DeviceError, CaptureError, SessionError) as error:
-            with suppress(OSError):  # on a full disk the journal ends here, which is true as well
+            with suppress(SessionError):  # on a full disk the journal ends here, which is true as well
                 self._journal.append("capture_failed", photos=self._have(), text=str(error))
             raise
 

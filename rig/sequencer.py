@@ -8,6 +8,7 @@ from collections.abc import Sequence
 from itertools import zip_longest
 
 from drivers.errors import DeviceError
+from recon.errors import SessionError
 from recon.session import SessionWriter
 from rig.causes import part_of_rig
 from rig.config import RigConfig
@@ -102,7 +103,11 @@ class Sequencer:
                 device.stop()
             except DeviceError as error:
                 failed.append(str(error))
-        self._journal.append("came_to_rest", tank_ml=self.tank.tank_ml, failed=failed)
+        try:
+            self._journal.append("came_to_rest", tank_ml=self.tank.tank_ml, failed=failed)
+        except SessionError:
+            if not failed:  # a pump that runs on is worse news than a disk that is full
+                raise
         if failed:
             raise NotStoppedError(f"could not be stopped, switch it off by hand: {'; '.join(failed)}")
 

@@ -14,6 +14,7 @@ from rich.console import Console
 
 from drivers.errors import DeviceError
 from drivers.protocols import Device, Frame
+from recon.errors import SessionError
 from recon.journal import JOURNAL_NAME, read_journal
 from recon.session import SessionWriter
 from rig.causes import Cause
@@ -73,7 +74,8 @@ class Standstill:
             self._told = ""
             self._pause_s = PROBE_EVERY_S
         self._tell(f"suspended: {error}; {cause.goes_on}")
-        self._writer_says("suspended", cause=cause.name, text=str(error))
+        with suppress(SessionError):  # on a disk without room for a line, the wait itself is what counts
+            self._writer_says("suspended", cause=cause.name, text=str(error))
         while True:
             if clock.now_s() - self._since[1] >= self._config.timing.longest_suspension_s:
                 raise error

@@ -39,6 +39,18 @@ def good_photos(folder: Path) -> dict[PhotoKey, bytes]:
     return good
 
 
+def torn_lines(folder: Path) -> list[str]:
+    """Return the number of each line of the journal that is not whole, which may never stand before another."""
+    *lines, rest = (folder / "journal.jsonl").read_bytes().split(b"\n")
+    torn = ["the journal does not end with a line"] if rest else []
+    for number, line in enumerate(lines, start=1):
+        try:
+            json.loads(line)
+        except ValueError:
+            torn.append(f"line {number} of the journal is torn")
+    return torn
+
+
 @dataclass(frozen=True, slots=True)
 class ShutterLog:
     """The log of a simulated shutter: the number of the frame on the glass, and whether anything moved."""
@@ -83,6 +95,7 @@ class Judge:
         for key, count in before.items():
             if releases[str(self._frames[key])] != count:
                 found.append(f"{key} was good after {count} releases, and was shot again")
+        found += torn_lines(folder)
         if log.disturbed():
             found.append(f"{log.disturbed()} photos were taken while something moved")
         found += [f"left behind: {path.name}" for path in folder.rglob("*.part")]
