@@ -4,7 +4,16 @@ import logging
 import re
 
 from drivers.errors import DeviceAlarmError, DeviceProtocolError, DeviceTimeoutError
-from drivers.grbl_protocol import ALARMS, ERRORS, SOFT_RESET, STATUS, GrblStatus, is_banner, read_code, read_status
+from drivers.grbl_protocol import (
+    ALARMS,
+    SOFT_RESET,
+    STATUS,
+    GrblStatus,
+    is_banner,
+    read_code,
+    read_status,
+    reason_of,
+)
 from drivers.serial_port import SerialPort, deadline_after
 
 # GRBL answers within a few milliseconds; while it writes its EEPROM it may take some hundred.
@@ -87,8 +96,8 @@ class GrblLink:
                 if text == "ok":
                     return printed
                 if (code := read_code(text, word="error")) is not None:
-                    reason = ERRORS.get(code, "see error_codes_en_US.csv of GRBL")
-                    raise GrblRefusal(f"{self._port.device}: {line!r} was refused with error:{code}: {reason}", code)
+                    refusal = f"{self._port.device}: {line!r} was refused with error:{code}: {reason_of(code)}"
+                    raise GrblRefusal(refusal, code)
                 if self.alarm in DEAD_AFTER:
                     raise self.alarm_error()
                 printed.append(text)
@@ -140,7 +149,7 @@ class GrblLink:
 
     def alarm_error(self) -> DeviceAlarmError:
         """Return the sentence for the alarm that was noted."""
-        reason = ALARMS.get(self.alarm or 0, "see alarm_codes_en_US.csv of GRBL")
+        reason = ALARMS.get(self.alarm or 0, "see alarm_codes_en_US.csv of GRBL, then home the stage")
         return DeviceAlarmError(f"{self._port.device}: the controller stopped with ALARM:{self.alarm}: {reason}")
 
     def _understand(self, line: bytes) -> str:

@@ -18,7 +18,7 @@ from drivers.errors import (
 )
 from drivers.grbl_axis import AxisName, GrblAxis, read_axis
 from drivers.grbl_link import GrblLink, GrblRefusal
-from drivers.grbl_protocol import CANCEL_JOG, FEED_HOLD, GrblStatus, read_code
+from drivers.grbl_protocol import CANCEL_JOG, FEED_HOLD, GARBLED, STANDSTILLS, GrblStatus, read_code, reason_of
 from drivers.protocols import Clock, DeviceInfo, DeviceKind
 from drivers.serial_port import SerialPort, Trace
 
@@ -122,10 +122,7 @@ class GrblStage:
                 "terminal program, after checking that the stage has a homing switch"
             )
         self._homed = False
-        self._link.catch_up()
-        if self._link.alarm is not None:
-            self._link.reset()
-        self._link.forget()
+        self._make_ready_to_home()
         self._homing = True
         try:
             self._link.send(b"$H" + (self._axis_name.encode() if self._homes_one_axis else b"") + b"\n")
@@ -140,6 +137,15 @@ class GrblStage:
             raise DeviceAlarmError(f"stage: homing ended, but the controller says {status.state}; home the stage again")
         self._homed = True
 
+    def _make_ready_to_home(self) -> None:
+        """Lead the controller out of an alarm or a standstill, in which it would keep the order to home for later."""
+        self._link.catch_up()
+        if self._link.alarm is not None or self._status().state in STANDSTILLS:
+            self._link.reset()
+            if (state := self._status().state) in STANDSTILLS:
+                raise self._standing_still("homing", state)
+        self._link.forget()
+
     def _wait_until_homed(self, timeout_s: float) -> None:
         deadline_s = self._clock.now_s() + timeout_s
         while True:
@@ -152,9 +158,7 @@ class GrblStage:
             if text == "ok":
                 return
             if text is not None and (code := read_code(text, word="error")) is not None:
-                raise DeviceProtocolError(
-                    f"stage: home asked, the controller refused with error:{code}; switch it off and on"
-                )
+                raise DeviceProtocolError(f"stage: homing was refused with error:{code}: {reason_of(code)}")
             if text is None:
                 if self._clock.now_s() >= deadline_s:
                     raise DeviceTimeoutError(
@@ -173,6 +177,8 @@ class GrblStage:
                 f"stage: {position_mm:g} mm asked, but it was not homed since its port was opened or it restarted; home "
                 "the stage first (rig stage move MM --home)"
             )
+        # A line that is sent to a controller which stands still would be carried out when somebody lets it go on.
+        self._raise_if_disturbed(self._status(), f"the move to {position_mm:g} mm")
         machine_mm = self._axis.machine_mm(position_mm)
         feed_mm_per_min = 60 * self._velocity_mm_per_s
         try:
@@ -190,6 +196,10 @@ class GrblStage:
                 # Either the line or its ok was lost. The target is absolute: asking again is harmless.
                 if self._status().state != "Jog":
                     self._link.command(line)
+            except GrblRefusal as refusal:
+                if refusal.code not in GARBLED:
+                    raise
+                self._link.command(line)
         except GrblRefusal as refusal:
             if refusal.code == 15:
                 raise OutOfTravelError(str(refusal)) from refusal
@@ -274,10 +284,12 @@ class GrblStage:
             raise self._link.alarm_error()
         if self._link.has_restarted or status.state == "Alarm":
             raise self._disturbed(what)
-        if status.state in ("Hold", "Door", "Sleep", "Check"):
-            raise DeviceAlarmError(
-                f"stage: {what} was interrupted, the controller says {status.state}; release hold or door, then move again"
-            )
+        if status.state in STANDSTILLS:
+            raise self._standing_still(what, status.state)
+
+    def _standing_still(self, what: str, state: str) -> DeviceAlarmError:
+        self._homed = False
+        return DeviceAlarmError(f"stage: {what} is held up, the controller says {state}: {STANDSTILLS[state]}")
 
     def _disturbed(self, what: str) -> DeviceAlarmError:
         self._homed = False

@@ -279,8 +279,9 @@ class SerialPort:
             raise self._vanished(error) from error
 
     def _vanished(self, error: Exception) -> DeviceNotFoundError:
+        log.info("%s: %s has vanished: %s", self.device, self.address, error)
         return DeviceNotFoundError(
-            f"{self.device}: {self.address} has vanished ({error}); check the cable and the power, then start again"
+            f"{self.device}: {self.address} has vanished; check the cable and the power, then start again"
         )
 
     def _note(self, direction: Direction, data: bytes) -> None:

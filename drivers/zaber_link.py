@@ -1,6 +1,7 @@
 """Questions and answers with one axis of a Zaber device: ids, checksums, and a few tries where noise swallowed one."""
 
 import logging
+import time
 
 from drivers.errors import DeviceBusyError, DeviceProtocolError, DeviceTimeoutError, OutOfTravelError
 from drivers.serial_port import SerialPort, deadline_after
@@ -9,6 +10,7 @@ from drivers.zaber_protocol import REJECTIONS, ZaberMessage, read_message, write
 ANSWER_S = 0.5
 TRIES = 4
 LAST_ID = 99
+AGAIN_S = 0.05
 
 log = logging.getLogger(__name__)
 
@@ -41,15 +43,22 @@ class ZaberLink:
             raise silence
 
     def say(self, words: str, *, of_axis: bool = True) -> ZaberMessage:
-        """As :meth:`ask`, but once: for a movement, which a second command would interrupt."""
-        with self._port.transaction():
-            self._id = self._id % LAST_ID + 1
-            axis = self._axis if of_axis else 0
-            self._port.write(write_command(words, device=self._device, axis=axis, message_id=self._id))
-            reply = self._reply_to(words)
-        if not reply.accepted:
-            raise self._rejection(words, reply.data)
-        return reply
+        """As :meth:`ask`, but once: for a movement, which a second command would interrupt.
+
+        Only a rejection with AGAIN, after which nothing has happened, is answered by saying it again a moment later.
+        """
+        for attempt in range(1, TRIES + 1):
+            with self._port.transaction():
+                self._id = self._id % LAST_ID + 1
+                axis = self._axis if of_axis else 0
+                self._port.write(write_command(words, device=self._device, axis=axis, message_id=self._id))
+                reply = self._reply_to(words)
+            if reply.accepted:
+                return reply
+            if reply.data != "AGAIN" or attempt == TRIES:
+                raise self._rejection(words, reply.data)
+            time.sleep(AGAIN_S)
+        raise AssertionError("unreachable: the last attempt returns or raises")
 
     def _reply_to(self, words: str) -> ZaberMessage:
         question = f"the reply of device {self._device} to {words or 'a status poll'!r}"
@@ -65,7 +74,8 @@ class ZaberLink:
                 return message
 
     def _rejection(self, words: str, reason: str) -> DeviceProtocolError | DeviceBusyError | OutOfTravelError:
-        said = f"{self._port.device}: {words!r} was rejected with {reason}: {REJECTIONS.get(reason, 'see the manual')}"
+        what = repr(words) if words else "a status poll"
+        said = f"{self._port.device}: {what} was rejected with {reason}: {REJECTIONS.get(reason, 'see the manual')}"
         if reason == "BADDATA" and words.startswith("move"):
             return OutOfTravelError(said)
         return DeviceBusyError(said) if reason in ("STATUSBUSY", "AGAIN") else DeviceProtocolError(said)

@@ -10,36 +10,48 @@ from typing import Literal
 # A flag that is set when a movement ends means that it failed, even if the device is idle again.
 FAULTS = {
     "FF": "a critical system error; switch it off and on, and if it comes back, ask Zaber",
-    "FN": "the connected stage is not supported by this controller",
-    "FZ": "the axis is switched off in the controller; activate it",
-    "FH": "the emergency stop is pressed; release it",
+    "FN": "the connected stage is not supported by this controller; check that the two belong together",
+    "FZ": "the axis is switched off in the controller; activate it with Zaber's own program",
+    "FH": "the emergency stop is pressed; release it, then home the stage",
     "FV": "its supply voltage is out of range; check the power supply",
-    "FO": "its driver is switched off; enable it and home the stage",
-    "FD": "its driver switched itself off; check load and supply, then switch it off and on",
-    "FC": "too much current on switching on; check the supply",
-    "FM": "the motor is too hot; let it cool",
+    "FO": "its driver is switched off; switch the device off and on, then home the stage",
+    "FD": "its driver switched itself off; check load and supply, switch it off and on, then home the stage",
+    "FC": "too much current on switching on; check the supply, then switch it off and on",
+    "FM": "the motor is too hot; let it cool, and look for friction",
     "FQ": "the encoder cannot be trusted; check its cable, then home the stage",
     "FI": "the index of the encoder was not found; home the stage",
     "FA": "the analogue encoder lost its signal; check its cable, then home the stage",
-    "FR": "the driver was overloaded; check for friction",
+    "FR": "the driver was overloaded; look for friction",
     "FS": "it stalled and stopped; look for an obstacle, then home the stage",
-    "FB": "a stream left its bounds",
-    "FP": "it left its path",
+    "FB": "a stream left its bounds; let no other program talk to it, then home the stage",
+    "FP": "it left its path; look for an obstacle, then home the stage",
     "FE": "a limit switch cannot be trusted; check it, then home the stage",
-    "FT": "the cables are twisted too far",
+    "FT": "the cables are twisted too far; untwist them, then home the stage",
     "WL": "a limit switch was hit where none was expected; look for an obstacle, then home the stage",
     "WM": "it was pushed out of its place while it stood; photos since its last move are not to be trusted. Home the stage",
     "NI": "the movement was interrupted by another command or by its knob; move again",
     "NC": "somebody turned its knob; home the stage",
 }
-NOT_HOMED = {"WR", "WH"}
+# These leave the position as good as it was.
+CONCERNS = {
+    "WS": "it stalled and recovered; look for friction",
+    "WV": "its supply voltage is out of range; check the power supply",
+    "WT": "its controller is hot; give it air",
+}
+NOT_HOMED = {
+    "WR": "it does not know where it is",
+    "WH": "it was not homed since it was switched on",
+}
 REJECTIONS = {
+    "AGAIN": "it cannot answer now; wait a moment, then try again",
     "BADDATA": "the value lies outside what it accepts; check travel_mm against limit.max",
     "BADCOMMAND": "it does not know the command; check that this is a stage with the ASCII protocol",
-    "BADAXIS": "it has no such axis",
-    "STATUSBUSY": "it is moving; wait",
-    "DRIVERDISABLED": "its driver is switched off; enable it",
-    "PARKED": "it is parked; unpark it",
+    "BADAXIS": "it has no such axis; check that this is a stage of one axis",
+    "STATUSBUSY": "it is moving; wait until it stands, then try again",
+    "FULL": "too many commands wait in it; let no other program talk to it",
+    "DRIVERDISABLED": "its driver is switched off; switch the device off and on, then home the stage",
+    "PARKED": "it is parked; unpark it with Zaber's own program, then home the stage",
+    "LOCKSTEP": "the axis is coupled to another one (lockstep); uncouple it with Zaber's own program",
 }
 
 

@@ -18,8 +18,9 @@ from drivers.errors import (
 from drivers.protocols import Clock, DeviceInfo, DeviceKind
 from drivers.serial_port import SerialPort, Trace
 from drivers.zaber_link import ZaberLink
-from drivers.zaber_protocol import FAULTS, NOT_HOMED, ZaberMessage, read_flags
+from drivers.zaber_protocol import CONCERNS, FAULTS, NOT_HOMED, ZaberMessage, read_flags
 
+KNOWN_FLAGS = FAULTS | CONCERNS | NOT_HOMED
 POLL_S = 0.05
 STOP_S = 5.0
 # The unit of maxspeed: data value = 1.6384 × microsteps a second.
@@ -91,7 +92,7 @@ class ZaberStage:
     def is_homed(self) -> bool:
         """Whether the position can be trusted, asked from the device's own warning flags."""
         flags = self._flags()
-        return not flags & NOT_HOMED and not flags & (FAULTS.keys() - {"NI"})
+        return not flags & NOT_HOMED.keys() and not flags & (FAULTS.keys() - {"NI"})
 
     # Moving
 
@@ -101,8 +102,8 @@ class ZaberStage:
         self._drive("home", timeout_s=timeout_s, what="homing")
         if not self.is_homed():
             raise DeviceAlarmError(
-                f"stage: homing ended, but the device still warns with {self._named(self._flags())}; switch it off and "
-                "on, then home the stage"
+                f"stage: homing ended, but the device still warns with {self._named(self._flags())}; check the power "
+                "supply, then home the stage again"
             )
 
     def move_to_mm(self, position_mm: float, *, timeout_s: float) -> None:
@@ -111,7 +112,7 @@ class ZaberStage:
         if not low_mm <= position_mm <= high_mm:  # also refuses NaN
             raise OutOfTravelError(f"stage: {position_mm:g} mm asked, travel is {low_mm:g} to {high_mm:g} mm")
         flags = self._flags()
-        if flags & NOT_HOMED:
+        if flags & NOT_HOMED.keys():
             raise UnknownPositionError(
                 f"stage: {position_mm:g} mm asked, but it was not homed since it was switched on; home the stage first "
                 "(rig stage home)"
@@ -121,7 +122,7 @@ class ZaberStage:
         self._link.ask("warnings clear")
         target = round(position_mm / self._microstep_mm)
         self._drive(f"move abs {target}", timeout_s=timeout_s, what=what)
-        if self._flags() & NOT_HOMED:
+        if self._flags() & NOT_HOMED.keys():
             raise DeviceAlarmError(
                 f"stage: the device restarted during {what} and its position is lost; check the power supply, then home "
                 "the stage"
@@ -190,11 +191,11 @@ class ZaberStage:
     def _raise_if_faulty(self, flags: set[str], when: str) -> None:
         if faults := flags & FAULTS.keys():
             raise DeviceAlarmError(f"stage: {when} the device warned with {self._named(faults)}")
-        if "WS" in flags:
-            log.warning("stage: %s it stalled and recovered (WS); look for friction", when)
+        if concerns := flags & CONCERNS.keys():
+            log.warning("stage: %s the device warned with %s", when, self._named(concerns))
 
     def _named(self, flags: set[str]) -> str:
-        return ", ".join(f"{flag}: {FAULTS.get(flag, 'see the manual')}" for flag in sorted(flags))
+        return ", ".join(f"{flag}: {KNOWN_FLAGS.get(flag, 'see the manual')}" for flag in sorted(flags))
 
     def _microsteps(self, reply: ZaberMessage) -> int:
         try:

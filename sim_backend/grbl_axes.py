@@ -5,6 +5,7 @@ stage is seen, except where a fault separates the two: a carriage that stalls or
 """
 
 from collections import deque
+from collections.abc import Callable
 from dataclasses import dataclass
 
 from sim_backend.world import World
@@ -91,6 +92,19 @@ class GrblAxes:
             if not self._queue:
                 return
             self._begin(self._queue.popleft())
+
+    def dwell(self, duration_s: float) -> Callable[[], bool]:
+        """Return what tells whether to wait on: until everything planned is done, and then for ``duration_s``."""
+        ends_s: list[float] = []
+
+        def waits() -> bool:
+            if self.planned():
+                return True
+            if not ends_s:
+                ends_s.append(self._world.clock.now_s() + duration_s)
+            return self._world.clock.now_s() < ends_s[0]
+
+        return waits
 
     def halt(self) -> None:
         """Stand still; the rest of the move under way goes back to the head of the plan."""

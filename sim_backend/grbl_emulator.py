@@ -11,18 +11,16 @@ from collections.abc import Callable, Generator, Mapping
 from sim_backend.grbl_axes import Block, GrblAxes
 from sim_backend.grbl_gcode import GrblError, Modes, Order, read_jog, read_line, strip_comments
 from sim_backend.grbl_homing import GrblFaults, homing_cycle
-from sim_backend.grbl_report import GrblReporter
-from sim_backend.grbl_settings import GrblSettings
+from sim_backend.grbl_input import RX_BUFFER, GrblInput
+from sim_backend.grbl_report import HELP, GrblReporter, greeting
+from sim_backend.grbl_settings import GrblSettings, well_set_up
 from sim_backend.world import World
 
-BANNER = "\r\nGrbl 1.1h ['$' for help]\r\n"
-LOCKED = "[MSG:'$H'|'$X' to unlock]\r\n"
-HELP = "[HLP:$$ $# $G $I $N $x=val $Nx=line $J=line $SLP $C $X $H ~ ! ? ctrl-x]\r\n"
-RX_BUFFER = 128
 LONGEST_LINE = 79
 PLANNER_BLOCKS = 15
 RESET_ADVICE_S = 0.5  # from ALARM:1 or 2 to the advice to reset
-HOLD_S = 0.1  # how long the axis takes to come to rest in a feed hold
+SAFETY_DOOR = 0x84
+HOLD_S = 0.1  # until an axis has come to rest
 
 
 class GrblEmulator:
@@ -35,10 +33,16 @@ class GrblEmulator:
     travel_mm
         Where on the world's stage the carriage rests after homing, and how far it may go from there.
     settings
-        What the EEPROM holds beyond GRBL's defaults. Without it: a well set-up stage (homing, hard and soft limits on,
-        motors always energised, 600 mm a minute).
+        What the EEPROM holds beyond :func:`sim_backend.grbl_settings.well_set_up`.
     build_options
         The letters of ``[OPT:]``: ``V`` variable spindle, ``H`` single-axis homing (``$HX``).
+    version
+        What ``$I`` says; the greeting says it without its date.
+
+    Attributes
+    ----------
+    door_is_open
+        The contact of the safety door: while it is open, nothing moves and no line is read.
     """
 
     def __init__(
@@ -48,18 +52,18 @@ class GrblEmulator:
         travel_mm: tuple[float, float],
         settings: Mapping[int, int | float] | None = None,
         build_options: str = "VH",
+        version: str = "1.1h.20190830",
     ) -> None:
         low_mm, high_mm = travel_mm
         pull_off_mm = 1.0
-        good: Mapping[int, int | float] = {
-            **{1: 255, 20: 1, 21: 1, 22: 1, 23: 0, 25: 1200.0, 27: pull_off_mm},
-            **{110: 600.0, 130: high_mm - low_mm + pull_off_mm},
-        }
-        self.settings = GrblSettings({**good, **(settings or {})})
+        good = well_set_up(high_mm - low_mm, pull_off_mm=pull_off_mm)
+        self.settings = GrblSettings(good | dict(settings or {}))
         self.faults = GrblFaults()
         self.build_options = build_options
+        self.version = version
+        self.door_is_open = False
         self.axes = GrblAxes(world, switch_mm=low_mm - pull_off_mm, far_mm=high_mm + 1.0)
-        self.lost_input = 0
+        self.input = GrblInput()
         self._reporter = GrblReporter(self.settings)
         self._homing: Generator[None, None, int]
         self._world = world
@@ -104,6 +108,12 @@ class GrblEmulator:
         with self._lock:
             self._critical_alarm(1)
 
+    def open_door(self) -> None:
+        """Open the safety door, and leave it open."""
+        with self._lock:
+            self.door_is_open = True
+            self._stop_at_door()
+
     def push(self, distance_mm: float) -> None:
         """Displace the carriage by hand; nothing counts it."""
         with self._lock:
@@ -116,15 +126,14 @@ class GrblEmulator:
         self._begin_again("Alarm" if self.settings[22] else "Idle")
         if self.faults.eeprom_is_corrupt:
             self._say("error:7\r\n" + self.settings.listing())
-        self._say(BANNER + (LOCKED if self._state == "Alarm" else ""))
+        self._say(self._greeting())
 
     def _begin_again(self, state: str) -> None:
         self._state = state
         self._dead = False  # ALARM 1 and 2: everything but a reset is ignored
         self._modes = Modes()
         self._offset_mm = (0.0, 0.0, 0.0)
-        self._input = bytearray()
-        self._line = bytearray()
+        self.input.clear()
         self._waits: Callable[[], bool] | None = None  # holds up the line that is being executed
         self._advice_s: float | None = None
         self._hold_ends_s = 0.0
@@ -140,7 +149,12 @@ class GrblEmulator:
         self.axes.forget_plan()
         self._begin_again("Alarm" if locked else "Idle")
         # The line that was being executed is answered late, before the banner.
-        self._say(("ok\r\n" if held_up else "") + BANNER + (LOCKED if locked else ""))
+        self._say(("ok\r\n" if held_up else "") + self._greeting())
+        if self.door_is_open and not locked:
+            self._state = "Door"
+
+    def _greeting(self) -> str:
+        return greeting(self.version, locked=self._state == "Alarm")
 
     def _critical_alarm(self, code: int) -> None:
         self.axes.forget_plan()
@@ -182,33 +196,27 @@ class GrblEmulator:
             return
         elif self._state == "Home":
             if byte not in b"?!~" and byte < 0x80:
-                self._buffer(byte)
+                self.input.take(byte)
         elif byte == ord("?"):
             self._say(self._report())
         elif byte == ord("!"):
             self._hold()
         elif byte == ord("~"):
             self._resume()
+        elif byte == SAFETY_DOOR:
+            self._stop_at_door()
         elif byte == 0x85:
             self._cancel_jog()
         elif byte < 0x80:
-            self._buffer(byte)
+            self.input.take(byte)
             self._read_lines()
 
-    def _buffer(self, byte: int) -> None:
-        if len(self._input) < RX_BUFFER:
-            self._input.append(byte)
-        else:
-            self.lost_input += 1
-
     def _read_lines(self) -> None:
-        while self._input and self._waits is None and not self._dead and self._state != "Home":
-            byte = self._input.pop(0)
-            if byte in b"\r\n":
-                line, self._line = bytes(self._line), bytearray()
-                self._answer(line.decode("ascii"))
-            else:
-                self._line.append(byte)
+        while self._waits is None and not self._dead and self._state not in ("Home", "Door", "Sleep"):
+            line = self.input.next_line()
+            if line is None:
+                return
+            self._answer(line)
 
     def _answer(self, line: str) -> None:
         try:
@@ -235,9 +243,9 @@ class GrblEmulator:
                 self._say(HELP)
             case "$$" | "$I" | "$#" | "$N":
                 self._need_idle()
-                self._say(self._listing(text))
+                self._say(self._listings()[text])
             case "$G":
-                self._say(self._listing(text))
+                self._say(self._listings()[text])
             case "$X":
                 if self._state == "Alarm":
                     self._state = "Idle"
@@ -258,16 +266,15 @@ class GrblEmulator:
             case _:
                 raise GrblError(3)
 
-    def _listing(self, query: str) -> str:
-        modes = self._modes
+    def _listings(self) -> dict[str, str]:
+        modes, place = self._modes, self._reporter.triple(self._offset_mm)
         return {
             "$$": self.settings.listing(),
-            "$I": f"[VER:1.1h.20190830:]\r\n[OPT:{self.build_options},{PLANNER_BLOCKS},{RX_BUFFER}]\r\n",
-            "$#": f"[G54:0.000,0.000,0.000]\r\n[G92:{self._reporter.triple(self._offset_mm)}]\r\n[TLO:0.000]\r\n",
+            "$I": f"[VER:{self.version}:]\r\n[OPT:{self.build_options},{PLANNER_BLOCKS},{RX_BUFFER}]\r\n",
+            "$#": f"[G54:0.000,0.000,0.000]\r\n[G92:{place}]\r\n[TLO:0.000]\r\n",
             "$N": "$N0=\r\n$N1=\r\n",
-            "$G": f"[GC:{modes.motion} G54 G17 {modes.units} {modes.distance} G94 M5 M9 T0 "
-            f"F{modes.feed_mm_per_min:.0f} S0]\r\n",
-        }[query]
+            "$G": f"[GC:{modes.words()}]\r\n",
+        }
 
     def _need_idle(self) -> None:
         if self._state not in ("Idle", "Alarm", "Check"):
@@ -304,7 +311,8 @@ class GrblEmulator:
             self._offset_mm = order.offset_mm
             self._reporter.forget()
         elif order.kind == "dwell":
-            self._dwell(order.dwell_s)
+            dwells = self.axes.dwell(order.dwell_s)
+            self._waits = dwells if dwells() else None
         elif order.kind == "move":
             if self.settings[20] and self.settings.is_beyond_travel(order.machine_mm):
                 self._critical_alarm(2)
@@ -322,20 +330,6 @@ class GrblEmulator:
         if self.axes.planned() > PLANNER_BLOCKS:
             self._waits = lambda: self.axes.planned() > PLANNER_BLOCKS
 
-    def _dwell(self, duration_s: float) -> None:
-        """Wait until everything planned is done, and then for ``duration_s``: the way to synchronise."""
-        ends_s: list[float] = []
-
-        def waits() -> bool:
-            if self.axes.planned():
-                return True
-            if not ends_s:
-                ends_s.append(self._world.clock.now_s() + duration_s)
-            return self._world.clock.now_s() < ends_s[0]
-
-        if waits():
-            self._waits = waits
-
     def _hold(self) -> None:
         if self._state == "Jog":
             self._cancel_jog()
@@ -344,8 +338,15 @@ class GrblEmulator:
             self._state = "Hold"
             self._hold_ends_s = self._world.clock.now_s() + HOLD_S
 
+    def _stop_at_door(self) -> None:
+        if self._state in ("Idle", "Run", "Jog", "Hold"):
+            self.axes.halt()
+            if self._state == "Jog":
+                self.axes.forget_plan()
+            self._state = "Door"
+
     def _resume(self) -> None:
-        if self._state == "Hold":
+        if self._state == "Hold" or (self._state == "Door" and not self.door_is_open):
             self._state = "Run"
             self.axes.advance()
 
@@ -380,19 +381,20 @@ class GrblEmulator:
             self._say(f"ALARM:{end.value}\r\nok\r\n")
             self.axes.forget_plan()
             self._begin_again("Alarm")
-            self._say(BANNER + LOCKED)
+            self._say(self._greeting())
 
     # Reports
 
     def _report(self) -> str:
         state = self._state
-        if state == "Hold":
-            state = f"Hold:{int(self._world.clock.now_s() < self._hold_ends_s)}"
+        if state in ("Hold", "Door"):
+            under_way = self.door_is_open if state == "Door" else self._world.clock.now_s() < self._hold_ends_s
+            state = f"{state}:{int(under_way)}"
         return self._reporter.report(
             state,
             machine_mm=self.axes.machine_mm(),
             offset_mm=self._offset_mm,
             feed=self._modes.feed_mm_per_min if self.axes.is_moving() else 0.0,
             at_switch=self.axes.at_switch(),
-            room=(PLANNER_BLOCKS - self.axes.planned(), RX_BUFFER - len(self._input)),
+            room=(PLANNER_BLOCKS - self.axes.planned(), self.input.room()),
         )

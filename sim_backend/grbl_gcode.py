@@ -36,6 +36,10 @@ class Modes:
     distance: str = "G90"
     feed_mm_per_min: float = 0.0
 
+    def words(self) -> str:
+        """Return them as ``$G`` tells them."""
+        return f"{self.motion} G54 G17 {self.units} {self.distance} G94 M5 M9 T0 F{self.feed_mm_per_min:.0f} S0"
+
 
 @dataclass(frozen=True, slots=True)
 class Order:

@@ -19,6 +19,7 @@ class GrblFaults:
     pull_off_is_stuck: bool = False
     no_switch_on_z: bool = False  # the default build homes Z first, and this machine has none
     eeprom_is_corrupt: bool = False
+    homing_ends_with: int = 0  # the alarm of something else: 7 the door opened, 10 the second motor missed its switch
 
 
 def homing_cycle(
@@ -34,6 +35,8 @@ def homing_cycle(
         return SWITCH_NOT_FOUND
     switch_mm, rest_mm = axes.switch_mm, axes.switch_mm + settings[27]
     yield from _drive(axes, switch_mm, seek_mm_per_s)
+    if faults.homing_ends_with:
+        return faults.homing_ends_with
     if faults.homing_switch_is_dead:
         yield from _let_pass(SEARCH_REACH * settings[130] / seek_mm_per_s, clock=clock)
         return SWITCH_NOT_FOUND

@@ -1,4 +1,4 @@
-"""The status report that the emulated GRBL gives to ``?`` (``doc/markdown/interface.md``, real-time status reports)."""
+"""What the emulated GRBL says: its greeting, and the status report that it gives to ``?`` (``doc/markdown/interface.md``)."""
 
 from sim_backend.grbl_axes import Place
 from sim_backend.grbl_gcode import MM_PER_INCH
@@ -6,6 +6,14 @@ from sim_backend.grbl_settings import GrblSettings
 
 # How many reports pass before the offset and the overrides are told again: while busy, and while idle.
 OFFSET_REPORTS, OVERRIDE_REPORTS = (30, 10), (20, 10)
+LOCKED = "[MSG:'$H'|'$X' to unlock]\r\n"
+HELP = "[HLP:$$ $# $G $I $N $x=val $Nx=line $J=line $SLP $C $X $H ~ ! ? ctrl-x]\r\n"
+
+
+def greeting(version: str, *, locked: bool) -> str:
+    """Return the banner of a controller that has just started; it bears the version without its date."""
+    number = ".".join(version.split(".")[:2])
+    return f"\r\nGrbl {number} ['$' for help]\r\n" + (LOCKED if locked else "")
 
 
 class GrblReporter:

@@ -10,7 +10,14 @@ DEFAULTS: Mapping[int, int | float] = {
     **{100: 250.0, 101: 250.0, 102: 250.0, 110: 500.0, 111: 500.0, 112: 500.0},
     **{120: 10.0, 121: 10.0, 122: 10.0, 130: 200.0, 131: 200.0, 132: 200.0},
 }
+# Beyond the defaults: homing, hard and soft limits on, motors always energised, 600 mm a minute.
+WELL_SET_UP: Mapping[int, int | float] = {1: 255, 20: 1, 21: 1, 22: 1, 23: 0, 25: 1200.0, 110: 600.0}
 WITH_DECIMALS = {11, 12, 24, 25, 27} | {number for number in DEFAULTS if number >= 100}
+
+
+def well_set_up(reach_mm: float, *, pull_off_mm: float) -> dict[int, int | float]:
+    """Return the settings of a stage that somebody has set up with care, and that may go ``reach_mm``."""
+    return {**WELL_SET_UP, 27: pull_off_mm, 130: reach_mm + pull_off_mm}
 
 
 class GrblSettings:

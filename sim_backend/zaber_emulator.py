@@ -38,6 +38,11 @@ class ZaberEmulator:
         What one microstep moves; an X-LSM device has 0.000047625 mm.
     velocity_mm_per_s
         The speed it is delivered with (``maxspeed``).
+
+    Attributes
+    ----------
+    rejects
+        Commands by their first word (``move``, ``home``, ``get``, ...), each with the reasons of its next rejections.
     """
 
     def __init__(
@@ -62,6 +67,7 @@ class ZaberEmulator:
         }
         self._buffer = bytearray()
         self._said = b""
+        self.rejects: dict[str, list[str]] = {}
         self._power_up()
 
     def receive(self, data: bytes) -> bytes:
@@ -108,6 +114,11 @@ class ZaberEmulator:
             self._flags.add(flag)
             self._moving = self._homing = False
 
+    def warn(self, flag: str) -> None:
+        """Warn with a flag and go on: ``WS`` stalled and recovered, ``WT`` hot, ``WV`` voltage."""
+        with self._lock:
+            self._flags.add(flag)
+
     def push(self, distance_mm: float) -> None:
         """Displace the carriage by hand while it stands; the encoder notices."""
         with self._lock:
@@ -147,6 +158,9 @@ class ZaberEmulator:
         try:
             if command.axis > 1:
                 raise ZaberRejection("BADAXIS")
+            reasons = self.rejects.get(next(iter(command.words), ""))
+            if reasons:
+                raise ZaberRejection(reasons.pop(0))
             verdict, data = "OK", self._obey(command.words)
         except ZaberRejection as rejection:
             verdict, data = "RJ", str(rejection)

@@ -3,11 +3,12 @@
 import importlib
 import os
 import shutil
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from types import ModuleType
 from typing import NoReturn
 
 import pytest
+from faults_page import PAGE, OperatorReads, sentences_of
 
 # The continuous integration promises to have everything: there a test that cannot run is a failure, not a skip.
 EVERYTHING_IS_INSTALLED = os.environ.get("CI", "").lower() in ("1", "true")
@@ -44,6 +45,18 @@ def require_module() -> Callable[[str, str], ModuleType]:
             skip_or_fail(f"{name} is not installed; pip install {package}")
 
     return require
+
+
+@pytest.fixture
+def operator_reads(request: pytest.FixtureRequest) -> Iterator[OperatorReads]:
+    """Compare what an operator reads in this test with what the page of faults says of it, all of it."""
+    file, _, name = request.node.nodeid.partition("::")
+    sentences = sentences_of(file, name)
+    assert sentences, f"{PAGE.name} names no sentence that {name} in {file} holds; give it a row"
+    reads = OperatorReads(sentences)
+    yield reads
+    unread = "\n".join(reads.unread())
+    assert not unread, f"{PAGE.name} promises what nobody read in this test:\n{unread}"
 
 
 def pytest_addoption(parser: pytest.Parser) -> None:

@@ -185,5 +185,5 @@ def test_somebody_elses_client_streams_a_job_and_the_stage_follows(require_modul
         finally:
             client.disconnect()
     assert world.stage_mm() == pytest.approx(42.5)  # one millimetre of pull-off lies before the rest position
-    assert emulator.lost_input == 0
+    assert emulator.input.lost == 0
     assert max(places_mm) - min(places_mm) > 4.0

@@ -8,6 +8,7 @@ from dataclasses import dataclass
 
 import numpy as np
 import pytest
+from faults_page import OperatorReads
 
 from drivers.errors import (
     DeviceAlarmError,
@@ -17,6 +18,7 @@ from drivers.errors import (
     OutOfTravelError,
     UnknownPositionError,
 )
+from drivers.grbl_link import GrblRefusal
 from drivers.grbl_stage import GrblStage
 from drivers.protocols import Frame
 from sim_backend.clock import SimulatedClock
@@ -86,6 +88,13 @@ def open_fails(**settings: object) -> None:
         pass
 
 
+def wait_until(condition: Callable[[], bool]) -> None:
+    deadline_s = time.monotonic() + 10.0
+    while not condition():
+        assert time.monotonic() < deadline_s
+        time.sleep(0.005)
+
+
 def while_moving(rig: Rig, act: Callable[[], None]) -> None:
     """Do ``act`` from the side as soon as the carriage is under way, once."""
 
@@ -140,13 +149,11 @@ def test_the_version_is_read_from_the_controller() -> None:
         assert rig.stage.info().address == rig.wire.address
 
 
-def test_advises_to_keep_the_motor_energised_and_to_guard_the_travel() -> None:
+def test_advises_to_keep_the_motor_energised_and_to_guard_the_travel(operator_reads: OperatorReads) -> None:
     with opened(settings={1: 25, 20: 0, 21: 0, 110: 300.0}) as rig:
-        advice = " ".join(rig.stage.advice())
-        assert "may drift between sets; send $1=255" in advice
-        assert "send $20=1" in advice
-        assert "send $21=1" in advice
-        assert "velocity_mm_per_s is 10, the controller allows 5 ($110)" in advice
+        assert len(rig.stage.advice()) == 4
+        for sentence in rig.stage.advice():
+            operator_reads(f"stage: {sentence}")
     with opened() as rig:
         assert rig.stage.advice() == ()
 
@@ -154,15 +161,13 @@ def test_advises_to_keep_the_motor_energised_and_to_guard_the_travel() -> None:
 # Position unknown
 
 
-def test_a_controller_that_just_started_says_idle_at_zero_and_is_not_believed() -> None:
+def test_a_controller_that_just_started_says_idle_at_zero_and_is_not_believed(operator_reads: OperatorReads) -> None:
     with opened(settings={22: 0, 20: 0}) as rig:
         assert rig.stage.position_mm() == pytest.approx(-1.0)  # it counts 0 wherever the carriage is
         assert rig.world.stage_mm() == 37.0
-        with pytest.raises(
-            UnknownPositionError, match=r"20 mm asked, but it was not homed since .*; home the stage first"
-        ):
+        with operator_reads.raised(UnknownPositionError):
             rig.stage.move_to_mm(20.0, timeout_s=60.0)
-        with pytest.raises(DeviceProtocolError, match=r"homing is switched off in the controller \(\$22=0\)"):
+        with operator_reads.raised(DeviceProtocolError):
             rig.stage.home(timeout_s=60.0)
 
 
@@ -186,22 +191,22 @@ def test_a_board_that_restarts_when_its_port_is_opened_must_be_homed_again() -> 
                 assert stage.is_homed()
 
 
-def test_a_power_cut_between_two_moves_is_noticed_before_the_next() -> None:
+def test_a_power_cut_between_two_moves_is_noticed_before_the_next(operator_reads: OperatorReads) -> None:
     with homed() as rig:
         rig.emulator.power_cycle()
         time.sleep(0.05)
         assert not rig.stage.is_homed()
-        with pytest.raises(UnknownPositionError, match="not homed since"):
+        with operator_reads.raised(UnknownPositionError):
             rig.stage.move_to_mm(20.0, timeout_s=60.0)
         rig.stage.home(timeout_s=60.0)
         rig.stage.move_to_mm(20.0, timeout_s=60.0)
         assert rig.world.stage_mm() == pytest.approx(20.0, abs=0.005)
 
 
-def test_a_power_cut_during_a_move_ends_it_and_says_why() -> None:
+def test_a_power_cut_during_a_move_ends_it_and_says_why(operator_reads: OperatorReads) -> None:
     with homed() as rig:
         while_moving(rig, rig.emulator.power_cycle)
-        with pytest.raises(DeviceAlarmError, match=r"restarted during the move to 90 mm and its position is lost"):
+        with operator_reads.raised(DeviceAlarmError):
             rig.stage.move_to_mm(90.0, timeout_s=60.0)
         assert not rig.stage.is_homed()
 
@@ -209,10 +214,10 @@ def test_a_power_cut_during_a_move_ends_it_and_says_why() -> None:
 # Alarms
 
 
-def test_alarm_1_a_limit_switch_hit_during_a_jog_stops_until_the_stage_is_homed() -> None:
+def test_alarm_1_a_limit_switch_hit_during_a_jog_stops_until_the_stage_is_homed(operator_reads: OperatorReads) -> None:
     with homed() as rig:
         while_moving(rig, rig.emulator.hit_hard_limit)
-        with pytest.raises(DeviceAlarmError, match=r"ALARM:1: a limit switch was hit .* free the carriage, then home"):
+        with operator_reads.raised(DeviceAlarmError):
             rig.stage.move_to_mm(90.0, timeout_s=60.0)
         assert not rig.world.is_moving()
         with pytest.raises(UnknownPositionError, match="home"):
@@ -222,9 +227,9 @@ def test_alarm_1_a_limit_switch_hit_during_a_jog_stops_until_the_stage_is_homed(
         assert rig.world.stage_mm() == pytest.approx(10.0, abs=0.005)
 
 
-def test_alarm_2_a_soft_limit_with_its_late_ok_does_not_confuse_what_follows() -> None:
+def test_alarm_2_a_soft_limit_with_its_late_ok_does_not_confuse_what_follows(operator_reads: OperatorReads) -> None:
     with homed() as rig:
-        with pytest.raises(DeviceAlarmError, match="ALARM:2: a move would have left the travel"):
+        with operator_reads.raised(DeviceAlarmError):
             rig.stage._link.command("G90 G1 X50 F100")
         rig.stage.home(timeout_s=60.0)  # resets; the late ok comes before the banner
         assert rig.stage.is_homed()
@@ -232,33 +237,31 @@ def test_alarm_2_a_soft_limit_with_its_late_ok_does_not_confuse_what_follows() -
         assert rig.stage.position_mm() == pytest.approx(30.0, abs=0.005)
 
 
-def test_alarm_3_a_reset_in_mid_move_loses_the_position() -> None:
+def test_alarm_3_a_reset_in_mid_move_loses_the_position(operator_reads: OperatorReads) -> None:
     with homed() as rig:
         while_moving(rig, lambda: rig.wire.faults.interfere(b"\x18"))
-        with pytest.raises(DeviceAlarmError, match=r"ALARM:3: it was reset while it moved .* home the stage"):
+        with operator_reads.raised(DeviceAlarmError):
             rig.stage.move_to_mm(90.0, timeout_s=60.0)
         assert not rig.stage.is_homed()
         assert not rig.world.is_moving()
 
 
 @pytest.mark.parametrize(
-    ("faults", "options", "says"),
+    ("faults", "options"),
     [
-        (
-            GrblFaults(pull_off_is_stuck=True),
-            "VH",
-            r"ALARM:8: the carriage did not come free .* check the switch and \$27",
-        ),
-        (GrblFaults(homing_switch_is_dead=True), "VH", "ALARM:9: the homing switch was not found; check the switch"),
-        (GrblFaults(no_switch_on_z=True), "V", "ALARM:9: .*HOMING_SINGLE_AXIS_COMMANDS.*default build homes Z first"),
+        pytest.param(GrblFaults(homing_ends_with=7), "VH", id="door"),
+        pytest.param(GrblFaults(pull_off_is_stuck=True), "VH", id="pull-off"),
+        pytest.param(GrblFaults(homing_switch_is_dead=True), "VH", id="switch"),
+        pytest.param(GrblFaults(no_switch_on_z=True), "V", id="no switch on Z"),
+        pytest.param(GrblFaults(homing_ends_with=10), "VH", id="second motor"),
     ],
 )
-def test_alarms_8_and_9_a_homing_that_fails_with_ok_is_still_a_failure(
-    faults: GrblFaults, options: str, says: str
+def test_a_homing_that_fails_with_ok_is_still_a_failure(
+    operator_reads: OperatorReads, faults: GrblFaults, options: str
 ) -> None:
     with opened(build_options=options) as rig:
         rig.emulator.faults = faults
-        with pytest.raises(DeviceAlarmError, match=says):
+        with operator_reads.raised(DeviceAlarmError):
             rig.stage.home(timeout_s=120.0)
         assert not rig.stage.is_homed()
         rig.emulator.faults = GrblFaults()
@@ -266,9 +269,29 @@ def test_alarms_8_and_9_a_homing_that_fails_with_ok_is_still_a_failure(
         assert rig.stage.is_homed()
 
 
-def test_homing_that_takes_too_long_is_stopped_by_a_reset() -> None:
+@pytest.mark.parametrize("happening", ["reset", "power cut"])
+def test_a_homing_that_is_broken_off_is_a_failure(operator_reads: OperatorReads, happening: str) -> None:
     with opened() as rig:
-        with pytest.raises(DeviceTimeoutError, match="homing was not over after 1 s; the stage was stopped"):
+        reset, power_cut = lambda: rig.wire.faults.interfere(b"\x18"), rig.emulator.power_cycle
+        while_moving(rig, reset if happening == "reset" else power_cut)
+        with operator_reads.raised(DeviceAlarmError):
+            rig.stage.home(timeout_s=60.0)
+        assert not rig.stage.is_homed()
+        rig.stage.home(timeout_s=60.0)
+        assert rig.stage.is_homed()
+
+
+def test_a_homing_that_the_controller_refuses_is_said_with_its_reason(operator_reads: OperatorReads) -> None:
+    with opened() as rig:
+        rig.emulator.settings.store("20", "0")
+        rig.emulator.settings.store("22", "0")  # somebody changed it meanwhile
+        with operator_reads.raised(DeviceProtocolError):
+            rig.stage.home(timeout_s=60.0)
+
+
+def test_homing_that_takes_too_long_is_stopped_by_a_reset(operator_reads: OperatorReads) -> None:
+    with opened() as rig:
+        with operator_reads.raised(DeviceTimeoutError):
             rig.stage.home(timeout_s=1.0)
         assert not rig.world.is_moving()
         assert not rig.stage.is_homed()
@@ -294,30 +317,116 @@ def test_a_controller_found_moving_is_stopped_on_opening() -> None:
         assert not rig.stage.is_homed()
 
 
+# Standing still
+
+
+@pytest.mark.parametrize("state", ["Hold", "Door", "Sleep", "Check"])
+def test_a_controller_that_stands_still_gets_no_move_that_it_would_carry_out_later(
+    operator_reads: OperatorReads, state: str
+) -> None:
+    with homed() as rig:
+        match state:
+            case "Hold":
+                rig.wire.faults.interfere(b"G90 G1 X-90 F60\n")
+                while_moving(rig, lambda: rig.wire.faults.interfere(b"!"))
+            case "Door":
+                rig.emulator.open_door()
+            case "Sleep" | "Check":
+                rig.wire.faults.interfere(b"$SLP\n" if state == "Sleep" else b"$C\n")
+        wait_until(lambda: rig.stage._status().state == state)
+        rig.sent.clear()
+        with operator_reads.raised(DeviceAlarmError):
+            rig.stage.move_to_mm(50.0, timeout_s=60.0)
+        assert not any(b"$J" in line for line in rig.sent)
+        assert not rig.stage.is_homed()
+        rig.emulator.door_is_open = False
+        rig.stage.home(timeout_s=60.0)
+        rig.stage.move_to_mm(50.0, timeout_s=60.0)
+        assert rig.world.stage_mm() == pytest.approx(50.0, abs=0.005)
+
+
+def test_a_door_that_opens_during_a_move_stops_it_and_must_be_closed_before_homing(
+    operator_reads: OperatorReads,
+) -> None:
+    with homed() as rig:
+        while_moving(rig, rig.emulator.open_door)
+        with operator_reads.raised(DeviceAlarmError):
+            rig.stage.move_to_mm(90.0, timeout_s=60.0)
+        assert not rig.world.is_moving()
+        with operator_reads.raised(DeviceAlarmError):
+            rig.stage.home(timeout_s=60.0)
+        rig.emulator.door_is_open = False
+        rig.stage.home(timeout_s=60.0)
+        assert rig.stage.is_homed()
+
+
 # Refused
 
 
-def test_a_target_that_the_controller_refuses_moves_nothing() -> None:
+@pytest.mark.parametrize(
+    ("line", "code", "settings"),
+    [
+        ("$J=X-5F100", 8, {}),
+        ("G1X-5F100", 9, {}),
+        ("$20=1", 10, {20: 0, 22: 0}),
+        ("$H", 5, {20: 0, 22: 0}),
+        ("$J=X-5F100", 12, {}),
+        ("$J=X-5F100", 13, {}),
+    ],
+    ids=["8", "9", "10", "5", "12", "13"],
+)
+def test_what_the_controller_refuses_is_said_with_its_reason(
+    operator_reads: OperatorReads, line: str, code: int, settings: dict[int, float]
+) -> None:
+    with opened(settings=settings) as rig:
+        if code in (12, 13):  # the emulated machine is never that fast, and its door is not read between lines
+            rig.wire.faults.to_host = lambda data: data.replace(b"error:8", b"error:%d" % code)
+        with operator_reads.raised(GrblRefusal):
+            rig.stage._link.command(line)
+
+
+def test_a_target_that_the_controller_refuses_moves_nothing(operator_reads: OperatorReads) -> None:
     with homed() as rig:
         rig.emulator.settings.store("130", "60")  # somebody changed it meanwhile
-        with pytest.raises(OutOfTravelError, match=r"error:15: the target lies outside \$130"):
+        with operator_reads.raised(OutOfTravelError):
             rig.stage.move_to_mm(90.0, timeout_s=60.0)
         assert rig.world.stage_mm() == pytest.approx(0.0)
 
 
-@pytest.mark.parametrize(
-    ("settings", "says"),
-    [
-        ({13: 1}, r"reports inches \(\$13=1\); send \$13=0"),
-        ({130: 80.0}, r"travel_mm is 0 to 100 mm, the controller allows 0 to 79 mm \(\$130 less \$27\)"),
-    ],
-)
-def test_settings_that_would_mislead_a_move_are_refused_on_opening(settings: dict[int, float], says: str) -> None:
-    with pytest.raises(DeviceProtocolError, match=says):
+@pytest.mark.parametrize("settings", [{13: 1}, {130: 80.0}], ids=["inches", "travel"])
+def test_settings_that_would_mislead_a_move_are_refused_on_opening(
+    operator_reads: OperatorReads, settings: dict[int, float]
+) -> None:
+    with operator_reads.raised(DeviceProtocolError):
         open_fails(settings=settings)
 
 
-def test_a_controller_that_lost_its_settings_is_refused() -> None:
+def test_a_setting_that_is_missing_is_named_on_opening(operator_reads: OperatorReads) -> None:
+    rig, wire = build()
+    wire.faults.to_host = lambda data: data.replace(b"$130=101.000\r\n", b"")
+    with wire, operator_reads.raised(DeviceProtocolError):
+        rig.stage.__enter__()
+
+
+@pytest.mark.parametrize("version", ["0.9j.20160303", "3.7 FluidNC v3.7.8"], ids=["0.9", "FluidNC"])
+def test_a_firmware_other_than_grbl_1_1_is_refused_on_opening(operator_reads: OperatorReads, version: str) -> None:
+    with operator_reads.raised(DeviceProtocolError):
+        open_fails(version=version)
+
+
+def test_work_coordinates_without_their_offset_are_not_guessed(operator_reads: OperatorReads) -> None:
+    def ask_until_the_offset_was_told(emulator: GrblEmulator) -> None:
+        emulator.poll()
+        emulator.receive(b"??")
+
+    with (
+        opened(prepare=ask_until_the_offset_was_told, settings={10: 0}) as rig,
+        operator_reads.raised(DeviceProtocolError),
+    ):
+        rig.stage.position_mm()
+
+
+def test_a_controller_that_lost_its_settings_is_refused(operator_reads: OperatorReads) -> None:
     def corrupt(emulator: GrblEmulator) -> None:
         emulator.faults = GrblFaults(eeprom_is_corrupt=True)
 
@@ -330,12 +439,12 @@ def test_a_controller_that_lost_its_settings_is_refused() -> None:
         rig.emulator.power_cycle()
 
     threading.Thread(target=switch_on, daemon=True).start()
-    with wire, pytest.raises(DeviceProtocolError, match=r"lost its settings \(error:7\)"):
+    with wire, operator_reads.raised(DeviceProtocolError):
         rig.stage.__enter__()
 
 
 @pytest.mark.usefixtures("impatient")
-def test_something_else_on_the_port_is_not_taken_for_a_stage() -> None:
+def test_something_else_on_the_port_is_not_taken_for_a_stage(operator_reads: OperatorReads) -> None:
     class Modem:
         def receive(self, data: bytes) -> bytes:
             return b"ERROR\r\n" * data.count(b"\n")
@@ -347,22 +456,22 @@ def test_something_else_on_the_port_is_not_taken_for_a_stage() -> None:
         stage = GrblStage(
             wire.address, travel_mm=TRAVEL_MM, velocity_mm_per_s=10.0, clock=SimulatedClock(), banner_s=0.05
         )
-        with pytest.raises(DeviceTimeoutError, match=r"no GRBL answers on .*right port.*115200 baud"):
+        with operator_reads.raised(DeviceTimeoutError):
             stage.__enter__()
 
 
 # The wire
 
 
-def test_a_silent_controller_is_a_timeout_and_not_a_hang() -> None:
+def test_a_silent_controller_is_a_timeout_and_not_a_hang(operator_reads: OperatorReads) -> None:
     with homed() as rig:
         rig.wire.faults.silent = True
-        with pytest.raises(DeviceTimeoutError, match=r"waited for .* nothing came; is it switched on"):
+        with operator_reads.raised(DeviceTimeoutError):
             rig.stage.position_mm()
         rig.wire.faults.silent = False
 
 
-def test_a_cable_pulled_out_during_a_jog_is_said_in_one_sentence() -> None:
+def test_a_cable_pulled_out_during_a_jog_is_said_in_one_sentence(operator_reads: OperatorReads) -> None:
     rig, wire = build()
 
     def move_and_lose_the_cable() -> None:
@@ -371,7 +480,7 @@ def test_a_cable_pulled_out_during_a_jog_is_said_in_one_sentence() -> None:
             while_moving(rig, wire.vanish)
             rig.stage.move_to_mm(90.0, timeout_s=60.0)
 
-    with wire, pytest.raises(DeviceNotFoundError, match=r"stage: .* has vanished .*check the cable"):
+    with wire, operator_reads.raised(DeviceNotFoundError):
         move_and_lose_the_cable()
 
 
@@ -393,6 +502,26 @@ def test_noise_on_the_line_neither_ends_a_move_nor_changes_it() -> None:
         assert rig.world.stage_mm() == pytest.approx(60.0, abs=0.005)
 
 
+def test_a_command_that_arrives_garbled_is_said_again_and_twice_is_a_bad_cable(operator_reads: OperatorReads) -> None:
+    with homed() as rig:
+        original, garbled = rig.wire.faults.to_device, []
+
+        def garble(data: bytes) -> bytes:
+            if b"$J=" in data and len(garbled) < 1:
+                garbled.append(data)
+                data = data.replace(b"G21X", b"G2\xa1X")
+            return original(data)
+
+        rig.wire.faults.to_device = garble
+        rig.stage.move_to_mm(50.0, timeout_s=60.0)
+        assert garbled
+        assert rig.world.stage_mm() == pytest.approx(50.0, abs=0.005)
+        rig.wire.faults.to_device = lambda data: original(data.replace(b"G21X", b"G2\xa1X"))
+        with operator_reads.raised(GrblRefusal):
+            rig.stage.move_to_mm(60.0, timeout_s=60.0)
+        assert rig.world.stage_mm() == pytest.approx(50.0, abs=0.005)
+
+
 @pytest.mark.usefixtures("impatient")
 def test_a_lost_ok_does_not_lose_the_move() -> None:
     with homed() as rig:
@@ -402,21 +531,19 @@ def test_a_lost_ok_does_not_lose_the_move() -> None:
         assert rig.world.stage_mm() == pytest.approx(60.0, abs=0.005)
 
 
-def test_a_command_that_arrives_maimed_is_seen_in_where_the_stage_ends() -> None:
+def test_a_command_that_arrives_maimed_is_seen_in_where_the_stage_ends(operator_reads: OperatorReads) -> None:
     with homed() as rig:
         rig.emulator.receive(b"")
         original = rig.wire.faults.to_device
         rig.wire.faults.to_device = lambda data: original(data.replace(b"X-51", b"X-5"))  # a digit gets lost
-        with pytest.raises(
-            DeviceProtocolError, match=r"the move to 50 mm ended at 4\.000 mm.*Check cable and shielding"
-        ):
+        with operator_reads.raised(DeviceProtocolError):
             rig.stage.move_to_mm(50.0, timeout_s=60.0)
 
 
-def test_a_move_that_somebody_else_holds_or_cancels_is_not_called_done() -> None:
+def test_a_move_that_somebody_else_holds_or_cancels_is_not_called_done(operator_reads: OperatorReads) -> None:
     with homed() as rig:
         while_moving(rig, lambda: rig.wire.faults.interfere(b"\x85"))
-        with pytest.raises(DeviceProtocolError, match=r"the move to 90 mm ended at .* something cancelled it"):
+        with operator_reads.raised(DeviceProtocolError):
             rig.stage.move_to_mm(90.0, timeout_s=60.0)
 
 
