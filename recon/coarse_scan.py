@@ -12,7 +12,6 @@ from dataclasses import dataclass
 import numpy as np
 from jaxtyping import Bool, Int32, UInt8
 
-from recon.correspondence import read_session_photo, window_half_width
 from recon.manifest import Axis, CaptureSet, StripePattern
 from recon.photos import Counts
 from recon.session import Session
@@ -81,17 +80,20 @@ def seen_bars(
     return np.where(_agrees(bar), bar, -1).astype(np.int32)
 
 
-def range_of_bars(bar: Int32[np.ndarray, "rows cols"], pattern: StripePattern) -> FoundRange | None:
+def range_of_bars(
+    bar: Int32[np.ndarray, "rows cols"], pattern: StripePattern, *, half_window: int
+) -> FoundRange | None:
     """Return the stripes that the pixels need, or None where none sees the swept area.
 
-    Beyond the outermost bars stands a margin of one bar, for faint pixels that the scan did not count, and of the window of
-    photos that each pixel's place is made from: a pixel in the outermost bar is decoded from the same samples as in a full sweep.
+    Beyond the outermost bars stands a margin of one bar, for faint pixels that the scan did not count, and of the
+    ``half_window`` photos on either side that a pixel's place is made from: a pixel in the outermost bar is decoded from the
+    same samples as in a full sweep.
     """
     found = bar[bar >= 0]
     if len(found) == 0:
         return None
     steps_a_bar = _bar_px(pattern) / pattern.step_px
-    margin = steps_a_bar + window_half_width(pattern, "full")
+    margin = steps_a_bar + half_window
     first = int(np.floor(found.min() * steps_a_bar - 0.5 - margin))
     last = int(np.ceil((found.max() + 1) * steps_a_bar - 0.5 + margin))
     first, last = max(first, 0), min(last, pattern.count - 1)
@@ -104,11 +106,15 @@ def read_scan(
 ) -> FoundRange | None:
     """Read the scan of one sweep from a session's photos; ``pattern`` is the whole sweep, before any narrowing."""
 
+    # Loads SciPy, which would slow every command that only shows the scan.
+    from recon.correspondence import read_session_photo, window_half_width
+
     def photo(sweep: str, index: int = 0) -> Counts:
         return read_session_photo(session, capture_set.name, sweep, index)
 
     bits = [photo(scan_name(axis), bit) for bit in range(scan_bits(pattern))]
-    return range_of_bars(seen_bars(bits, white=photo("white"), black=photo("black"), region=region), pattern)
+    bar = seen_bars(bits, white=photo("white"), black=photo("black"), region=region)
+    return range_of_bars(bar, pattern, half_window=window_half_width(pattern, "full"))
 
 
 def _dark_sd(black: Counts) -> float:

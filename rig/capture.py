@@ -4,25 +4,25 @@ What interrupts it leads back here: everything stands still, and when the cause 
 is done and known by then.
 """
 
-from contextlib import ExitStack
+from contextlib import ExitStack, suppress
 from dataclasses import dataclass
-from hashlib import sha256
 from pathlib import Path
 
 from rich.console import Console
 
-from recon.session import Session, SessionWriter, open_session
+from recon.session import SessionWriter, open_session
 from rig.capture_run import CaptureRun
 from rig.config import RigConfig
 from rig.devices import Devices
 from rig.disk_room import disk_fault
-from rig.errors import CaptureError
+from rig.errors import CaptureError, CaptureStopped
+from rig.known import Known, known_of
+from rig.live_capture import LiveCapture
 from rig.person import Person
 from rig.plan import all_photos, plan_capture, summarise
 from rig.progress import CaptureProgress
 from rig.session_manifest import manifest_of
 from rig.standstill import Standstill, clear_latch
-from rig.steps import PhotoKey
 from rig.stop_request import Boundary, StopRequest
 from rig.tank_keeper import learn_tank_ml
 from sim_backend.scene import Scene
@@ -35,16 +35,6 @@ class CaptureResult:
     photos_taken: int
     photos_done: int
     photos_needed: int
-
-
-def whole_photos(session: Session) -> frozenset[PhotoKey]:
-    """Return the photos that the journal names and the disk confirms: present, and of the recorded hash."""
-    whole = set()
-    for key, record in session.photos.items():
-        path = session.folder / record.file
-        if record.sha256 is not None and path.is_file() and sha256(path.read_bytes()).hexdigest() == record.sha256:
-            whole.add(key)
-    return frozenset(whole)
 
 
 def capture(
@@ -80,41 +70,48 @@ def capture(
     with ExitStack() as stack:
         note = "[yellow]stopping after this photo; press Ctrl-C again to stop at once[/yellow]"
         stop = stack.enter_context(StopRequest(lambda: console.print(note), pause_after=pause_after))
-        done: frozenset[PhotoKey] = frozenset()
+        known = Known()
         if resume:
             writer = stack.enter_context(SessionWriter.reopen(folder))
-            done = whole_photos(open_session(folder))
+            known = known_of(open_session(folder))
             clear_latch(writer, person=person, checked=checked, idle=devices.camera.keep_awake)
         else:
             manifest = manifest_of(config, devices=devices.records(), scene=scene)
             writer = stack.enter_context(SessionWriter.create(folder, manifest))
         with stop.at_once():
             tank_ml = learn_tank_ml(devices, config, looked=checked)
-        photos = summarise(plan_capture(config, done=done, tank_ml=tank_ml), config).photos
+        photos = summarise(plan_capture(config, done=known.done, ranges=known.ranges, tank_ml=tank_ml), config).photos
         no_room = disk_fault(folder, photo_mb=config.timing.photo_mb, photos=photos)
         if no_room is not None:
             raise CaptureError(no_room)
         writer.journal.append(
             "capture_resumed" if resume else "capture_started",
             photos=photos,
-            done=len(done),
+            done=len(known.done),
             tank_ml=tank_ml,
             devices={name: record.model_dump() for name, record in devices.records().items()},
         )
         progress = stack.enter_context(CaptureProgress(console))
+        live = None
+        if config.live is not None:
+            live = stack.enter_context(LiveCapture(config.live, config, writer, progress=progress, console=console))
         run = CaptureRun(
             config,
             devices,
             writer,
-            done=done,
+            known=known,
+            live=live,
             progress=progress,
             standstill=Standstill(devices, writer, config, console=console, person=person, stop=stop),
             stop=stop,
             command=f"rig capture --resume --session {folder}{_rehearsal(devices, scene)}",
         )
         run.until_done()
-        needed = len(all_photos(config))
+        needed = len(all_photos(config, known.ranges))
         writer.journal.append("capture_finished", photos=needed)
+        if live is not None:
+            with suppress(CaptureStopped, KeyboardInterrupt):  # every photo is saved: there is nothing left to stop
+                live.finish(on_poll=stop.check)
         return CaptureResult(len(run.taken), needed, needed)
 
 

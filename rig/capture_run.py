@@ -22,7 +22,9 @@ from rig.config import RigConfig
 from rig.devices import Devices
 from rig.errors import CaptureError, CaptureStopped
 from rig.flow import known_tank_ml
+from rig.known import Known
 from rig.ledger import level_text
+from rig.live_capture import LiveCapture
 from rig.plan import all_photos, plan_capture
 from rig.progress import CaptureProgress
 from rig.sequencer import PlanAgain, Sequencer
@@ -41,7 +43,8 @@ class CaptureRun:
         devices: Devices,
         writer: SessionWriter,
         *,
-        done: frozenset[PhotoKey],
+        known: Known,
+        live: LiveCapture | None,
         progress: CaptureProgress,
         standstill: Standstill,
         stop: StopRequest,
@@ -50,12 +53,12 @@ class CaptureRun:
         self._config = config
         self._devices = devices
         self._journal = writer.journal
-        self._done = done
+        self._known = known
         self._progress = progress
         self._standstill = standstill
         self._stop = stop
         self._command = command
-        self._sequencer = Sequencer(devices, writer, config, progress=progress, stop=stop)
+        self._sequencer = Sequencer(devices, writer, config, known=known, live=live, progress=progress, stop=stop)
 
     @property
     def taken(self) -> frozenset[PhotoKey]:
@@ -97,7 +100,9 @@ class CaptureRun:
         sequencer = self._sequencer
         plan = plan_capture(
             self._config,
-            done=self._done | self.taken,
+            done=self._known.done | self.taken,
+            ranges=self._known.ranges,
+            judged=self._known.judged,
             tank_ml=known_tank_ml(self._devices) if self._config.tank else 0.0,
             position=sequencer.stage.position,
             object_present=sequencer.object_present,
@@ -142,11 +147,15 @@ class CaptureRun:
             raise self._stopped("stopped") from None
 
     def _have(self) -> int:
-        return len({photo.key for photo in all_photos(self._config)} & (self._done | self.taken))
+        return len(self._needed() & (self._known.done | self.taken))
+
+    def _needed(self) -> frozenset[PhotoKey]:
+        """The photos of a whole session, as far as is known by now."""
+        return frozenset(photo.key for photo in all_photos(self._config, self._known.ranges))
 
     def _where(self, how: str) -> str:
         tank = f", the tank holds {level_text(self._devices.book.ledger.tank)}" if self._config.tank else ""
-        needed = len(all_photos(self._config))
+        needed = len(self._needed())
         return f"{how} with {self._have()} of {needed} photos; pump and stage stand still{tank}"
 
     def _stopped(self, how: str) -> CaptureStopped:

@@ -15,13 +15,13 @@ from recon.session import open_session
 from rig import options
 from rig.camera_cli import app as camera_app
 from rig.capture import capture as run_capture
-from rig.capture import whole_photos
 from rig.config import DEFAULT_FILE
 from rig.devices import open_devices
 from rig.display_cli import app as display_app
 from rig.doctor_cli import doctor
 from rig.emulate_cli import emulate
 from rig.errors import CaptureStopped, ConfigError, RigError
+from rig.known import Known, known_of
 from rig.options import choose_rig, rig_of_session
 from rig.person import person_at_terminal
 from rig.plan import plan_capture
@@ -66,6 +66,8 @@ def capture(
     size: options.SizeOption = None,
     display_columns: options.DisplayOption = None,
     seed: options.SeedOption = None,
+    scan: options.ScanOption = False,
+    live: options.LiveOption = False,
     state: options.StateOption = None,
     real_time: options.RealTimeOption = False,
     pause_after: Annotated[
@@ -86,7 +88,7 @@ def capture(
     if sim and sim_wire:
         raise ConfigError("--sim and --sim-wire are two ways to rehearse; leave out one of them")
     sim = sim or sim_wire
-    changes = SceneOptions(profile, width_px, step_px, order, size, display_columns, seed)
+    changes = SceneOptions(profile, width_px, step_px, order, size, display_columns, seed, scan, live)
     if resume:
         if config is not None or scene is not None or changes != SceneOptions():
             raise ConfigError(
@@ -96,8 +98,8 @@ def capture(
     else:
         rig = choose_rig(sim, config, scene, changes)
     if dry_run:
-        done = whole_photos(open_session(session)) if resume else frozenset()
-        for step in plan_capture(rig.config, done=done):
+        known = known_of(open_session(session)) if resume else Known()
+        for step in plan_capture(rig.config, done=known.done, ranges=known.ranges, judged=known.judged):
             console.print(step_text(step), markup=False)
         return
     simulation = rig.simulation(real_time=real_time, state_file=state, wire=sim_wire)
@@ -152,12 +154,13 @@ def plan(
     order: options.OrderOption = None,
     size: options.SizeOption = None,
     display_columns: options.DisplayOption = None,
+    scan: options.ScanOption = False,
 ) -> None:
     """Say what a capture will do and cost.
 
     Every move, fill and sweep in order, then photos, time, liquid and disk space together.
     """
-    changes = SceneOptions(profile, width_px, step_px, order, size, display_columns)
+    changes = SceneOptions(profile, width_px, step_px, order, size, display_columns, scan=scan)
     rig = choose_rig(sim or scene is not None, config, scene, changes)
     print_plan(plan_capture(rig.config), rig.config, console)
 

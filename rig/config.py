@@ -13,6 +13,7 @@ from typing import Annotated, Literal, Self
 
 from pydantic import Field, ValidationError, model_validator
 
+from recon.coarse_scan import scan_bits
 from recon.frame_tag import TagPlace
 from recon.manifest import (
     Axis,
@@ -27,6 +28,7 @@ from recon.manifest import (
     ScannedObject,
     StripePattern,
 )
+from rig.capture_sections import Live, Scan
 from rig.errors import ConfigError
 
 NotNegative = Annotated[float, Field(ge=0, allow_inf_nan=False)]
@@ -76,6 +78,7 @@ class Capture(Part):
     order: Literal["one_fill", "paper"] = "one_fill"
     stripe: Stripe
     swept: SweptArea
+    scan: Scan | None = None
 
 
 class Tank(Part):
@@ -213,6 +216,7 @@ class RigConfig(Part):
     stage: StageTravel
     timing: Timing
     frame_tag: FrameTag | None = None
+    live: Live | None = None
     devices: DeviceAddresses = DeviceAddresses()
 
     @model_validator(mode="after")
@@ -228,6 +232,18 @@ class RigConfig(Part):
     def _sweep_stays_on_the_panel(self) -> Self:
         for axis in ("x", "y"):
             self.pattern(axis)
+        return self
+
+    @model_validator(mode="after")
+    def _scan_looks_at_the_photo(self) -> Self:
+        seen_px = self.capture.scan.seen_px if self.capture.scan else None
+        if seen_px is not None:
+            left, top, right, bottom = seen_px
+            if not (left < right < self.camera.columns and top < bottom < self.camera.rows):
+                raise ValueError(
+                    f"capture.scan.seen_px is {list(seen_px)}; give first column, first row, last column and last row "
+                    f"within photos of {self.camera.columns} × {self.camera.rows}"
+                )
         return self
 
     @model_validator(mode="after")
@@ -261,6 +277,10 @@ class RigConfig(Part):
     def device_px(self, axis: Axis) -> int:
         """Return how many device pixels the display has along ``axis``."""
         return self.display.columns if axis == "x" else self.display.rows
+
+    def scan_bits(self, axis: Axis) -> int:
+        """Return how many photos the scan along ``axis`` takes in each set; 0 without a scan."""
+        return scan_bits(self.pattern(axis)) if self.capture.scan else 0
 
     def pattern(self, axis: Axis) -> StripePattern:
         """Return the stripe pattern of the sweep along ``axis``; the last place may fall short by less than a step."""

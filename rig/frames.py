@@ -3,6 +3,7 @@
 import numpy as np
 
 from drivers.protocols import Frame, Patch
+from recon.coarse_scan import scan_levels, scan_name
 from recon.frame_tag import LARGEST_NUMBER, tag_levels
 from recon.manifest import Axis
 from recon.patterns import stripe_frame
@@ -10,6 +11,7 @@ from rig.config import RigConfig
 from rig.steps import TakePhoto
 
 LEVELS = {"white": 255, "black": 0}
+SCANNED: dict[str, Axis] = {scan_name("x"): "x", scan_name("y"): "y"}
 
 
 def frame_of(photo: TakePhoto, config: RigConfig) -> Frame:
@@ -18,6 +20,10 @@ def frame_of(photo: TakePhoto, config: RigConfig) -> Frame:
     level = LEVELS.get(photo.sweep)
     if level is not None:
         return Frame(axis="x", levels=np.full(config.display.columns, level, dtype=np.uint8), patches=patches)
+    scanned: Axis | None = SCANNED.get(photo.sweep)
+    if scanned is not None:
+        bits = scan_levels(config.pattern(scanned), photo.index, device_px=config.device_px(scanned))
+        return Frame(axis=scanned, levels=bits, patches=patches)
     axis: Axis = "x" if photo.sweep == "x" else "y"
     pattern_frame = stripe_frame(config.pattern(axis), axis, photo.index, device_px=config.device_px(axis))
     return Frame(axis=axis, levels=pattern_frame.levels, patches=patches)

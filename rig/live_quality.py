@@ -116,10 +116,6 @@ class LiveQuality:
         """Begin to cross the paths of all four sets."""
         self._decoder.ask({"cross": True})
 
-    def rejected(self, set_name: str) -> list[SweepVerdict]:
-        """Return the verdicts of a set's sweeps that should be photographed again."""
-        return [one for (name, _), one in self.verdicts.items() if name == set_name and one.reasons]
-
     def _take(self, answers: list[dict[str, Any]]) -> None:
         for answer in answers:
             if not answer.get("cross"):

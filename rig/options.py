@@ -55,6 +55,18 @@ SizeOption = Annotated[
 DisplayOption = Annotated[
     int | None, typer.Option("--display-columns", metavar="COLUMNS", min=1, help="Columns of the simulated display.")
 ]
+ScanOption = Annotated[
+    bool,
+    typer.Option(
+        "--scan", help="Find the part of the display that is seen by a few photos a set, and sweep only that."
+    ),
+]
+LiveOption = Annotated[
+    bool,
+    typer.Option(
+        "--live", help="Decode each sweep while the next is photographed, and take a bad one again while it can be."
+    ),
+]
 SeedOption = Annotated[int | None, typer.Option("--seed", min=0, help="Seed of the simulated noise.")]
 StateOption = Annotated[
     Path | None,

@@ -5,9 +5,11 @@ resuming a capture is planning it again.
 """
 
 from collections import Counter
-from collections.abc import Collection, Iterator
+from collections.abc import Collection, Iterator, Mapping
 from dataclasses import dataclass
 
+from recon.coarse_scan import scan_name
+from recon.journal import SweepRange
 from recon.manifest import Axis
 from recon.patterns import places_px
 from rig.config import RigConfig, Tank, longest_run_s
@@ -15,7 +17,9 @@ from rig.steps import (
     AskOperator,
     DrainTank,
     FillTank,
+    FindSweptRange,
     HomeStage,
+    JudgeSet,
     MoveStage,
     PhotoKey,
     Position,
@@ -29,6 +33,7 @@ from rig.steps import (
 
 # A level read from a sensor or a ruler is good to about one per cent of the fill.
 LEVEL_TOLERANCE = 0.01
+AXES: tuple[Axis, ...] = ("x", "y")
 
 ORDERS: dict[tuple[str, str], tuple[SetPlace, ...]] = {
     ("liquid", "one_fill"): ((0, "air"), (1, "air"), (1, "liquid"), (0, "liquid")),
@@ -48,22 +53,34 @@ def set_name(place: SetPlace) -> str:
     return f"pos{place[0]}_{place[1]}"
 
 
-def all_photos(config: RigConfig) -> tuple[TakePhoto, ...]:
-    """Return every photo of the capture in order; frame numbers count them from 0 and stay the same on resuming."""
+def all_photos(config: RigConfig, ranges: Mapping[tuple[str, str], SweepRange] | None = None) -> tuple[TakePhoto, ...]:
+    """Return every photo of the capture in order; frame numbers count them from 0 and stay the same on resuming.
+
+    ``ranges`` leaves out the stripes that a scan found to be unseen.
+    """
     listed: list[tuple[str, str, int, float | None]] = []
     for place in set_order(config):
         name = set_name(place)
         listed += [(name, "white", 0, None), (name, "black", 0, None)]
-        axes: tuple[Axis, ...] = ("x", "y")
-        for axis in axes:
+        for axis in AXES:
+            listed += [(name, scan_name(axis), bit, None) for bit in range(config.scan_bits(axis))]
+        for axis in AXES:
             listed += [(name, axis, k, float(px)) for k, px in enumerate(places_px(config.pattern(axis)))]
-    return tuple(TakePhoto(*photo, frame_id=frame_id) for frame_id, photo in enumerate(listed))
+    photos = (TakePhoto(*photo, frame_id=frame_id) for frame_id, photo in enumerate(listed))
+    return tuple(photo for photo in photos if _is_seen(photo, ranges or {}))
+
+
+def _is_seen(photo: TakePhoto, ranges: Mapping[tuple[str, str], SweepRange]) -> bool:
+    found = ranges.get((photo.set_name, photo.sweep))
+    return found is None or found.first_index <= photo.index <= found.last_index
 
 
 def plan_capture(
     config: RigConfig,
     *,
     done: Collection[PhotoKey] = frozenset(),
+    ranges: Mapping[tuple[str, str], SweepRange] | None = None,
+    judged: Collection[tuple[str, str]] = frozenset(),
     tank_ml: float = 0.0,
     position: Position | None = None,
     object_present: bool | None = None,
@@ -76,6 +93,10 @@ def plan_capture(
         What to capture.
     done
         Photos that exist and are whole; they are not taken again.
+    ranges
+        What the scans have found so far, by set and axis.
+    judged
+        Set and axis of the sweeps that were found good.
     tank_ml
         What the tank holds at the start.
     position
@@ -88,11 +109,14 @@ def plan_capture(
     tuple of Step
         Empty when every photo is done and the tank is as it should be left.
     """
-    wanted = [photo for photo in all_photos(config) if photo.key not in done]
+    ranges = ranges or {}
+    wanted = [photo for photo in all_photos(config, ranges) if photo.key not in done]
     steps: list[Step] = [HomeStage()] if wanted and position is None else []
     for place in set_order(config):
         photos = [photo for photo in wanted if photo.set_name == set_name(place)]
+        to_judge = [JudgeSet(set_name(place))] if _is_to_judge(set_name(place), judged, config) else []
         if not photos:
+            steps += to_judge
             continue
         if position != place[0]:
             position = place[0]
@@ -104,7 +128,9 @@ def plan_capture(
         if place[1] in ("with", "without") and object_present != (place[1] == "with"):
             object_present = place[1] == "with"
             steps.append(_ask_for_object(object_present, config.object.name))
-        steps += _photograph(photos)
+        unknown = any(config.scan_bits(axis) and (set_name(place), axis) not in ranges for axis in AXES)
+        steps += _photograph(photos, find_range=unknown)
+        steps += to_judge
     if config.tank is not None and config.tank.drain_at_end and config.tank.has_pump and tank_ml > 0:
         steps.append(DrainTank(tank_ml, 0.0, longest_run_s(tank_ml, config.tank)))
     return tuple(steps)
@@ -142,14 +168,21 @@ def _ask_for_object(present: bool, name: str) -> AskOperator:
     return AskOperator("remove_object", f"Take the object ({name}) out of its holder; do not touch the camera.")
 
 
-def _photograph(photos: list[TakePhoto]) -> Iterator[Step]:
-    """Yield the photos of one set, each sweep announced with the number of its photos."""
+def _is_to_judge(name: str, judged: Collection[tuple[str, str]], config: RigConfig) -> bool:
+    return config.live is not None and any((name, axis) not in judged for axis in AXES)
+
+
+def _photograph(photos: list[TakePhoto], *, find_range: bool) -> Iterator[Step]:
+    """Yield the photos of one set, each sweep announced with the number of its photos; before them, what scan found."""
     counts = Counter(photo.sweep for photo in photos)
     announced: str | None = None
     for photo in photos:
         if photo.sweep != announced:
             announced = photo.sweep
-            if announced in ("x", "y"):
+            if announced in AXES:
+                if find_range:
+                    yield FindSweptRange(photo.set_name)
+                    find_range = False
                 yield StartSweep(photo.set_name, announced, counts[announced])
         yield photo
 

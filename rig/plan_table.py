@@ -13,13 +13,14 @@ from rig.steps import StartSweep, Step, TakePhoto, step_duration_s, step_text
 def rows_of(plan: Sequence[Step], config: RigConfig) -> Iterator[tuple[str, int, float]]:
     """Yield what happens, its number of photos and its seconds, with the photos of a sweep taken together."""
     text, photos, duration_s = "", 0, 0.0
+    singles = "white, black and scan" if config.capture.scan else "white and black"
     for step in plan:
         if isinstance(step, TakePhoto):
             single = step.sweep not in ("x", "y")
-            if single and text != f"white and black of {step.set_name}":
+            if single and text != f"{singles} of {step.set_name}":
                 if text:
                     yield text, photos, duration_s
-                text, photos, duration_s = f"white and black of {step.set_name}", 0, 0.0
+                text, photos, duration_s = f"{singles} of {step.set_name}", 0, 0.0
             photos += 1
             duration_s += step_duration_s(step, config)
             continue
@@ -47,8 +48,9 @@ def print_plan(plan: tuple[Step, ...], config: RigConfig, console: Console) -> N
         for text, photos, time in rows:
             console.print(f"{text:60} {photos:>6} {time:>8}", markup=False)
     summary = summarise(plan, config)
+    bound = "at most " if config.capture.scan else ""
     console.print(
-        f"{summary.sets} sets, {summary.photos} photos, {summary.moves} moves of the stage, {summary.fills} fills and "
+        f"{summary.sets} sets, {bound}{summary.photos} photos, {summary.moves} moves of the stage, {summary.fills} fills and "
         f"{summary.drains} drains ({summary.litres:.1f} l pumped), {summary.questions} questions to the operator, "
         f"about {summary.gigabytes:.2g} GB and {clock_text(summary.minutes * 60)} (h:min:s)",
         markup=False,

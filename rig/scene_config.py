@@ -46,6 +46,8 @@ class SceneOptions:
     camera_columns: int | None = None
     display_columns: int | None = None
     seed: int | None = None
+    scan: bool = False
+    live: bool = False
 
 
 def open_scene(name_or_path: str, options: SceneOptions) -> Scene:
@@ -92,7 +94,9 @@ def config_of_scene(scene: Scene, options: SceneOptions) -> RigConfig:
                     "first_row_px": 0,
                     "last_row_px": scene.display.rows - 1,
                 },
+                "scan": {} if options.scan else None,
             },
+            "live": _live(scene) if options.live else None,
             "tank": _tank(scene) if _is_wet(scene) else None,
             "stage": {
                 "position_0_mm": scene.stage_positions_mm[0],
@@ -104,6 +108,14 @@ def config_of_scene(scene: Scene, options: SceneOptions) -> RigConfig:
         },
         source=f"scene {scene.name}",
     )
+
+
+def _live(scene: Scene) -> dict[str, object]:
+    """Return the section [live]; the object's wet side is taken where the liquid ends, which is the farther end of it."""
+    if scene.liquid_level_mm is None:
+        return {}
+    nearer_mm = min(abs(place_mm - scene.liquid_level_mm) for place_mm in scene.stage_positions_mm)
+    return {"object_distance_mm": nearer_mm}
 
 
 def _is_wet(scene: Scene) -> bool:

@@ -15,6 +15,8 @@ from rig.config import RigConfig
 from rig.devices import Devices
 from rig.errors import CaptureError, NotStoppedError
 from rig.flow import check_pump_stands
+from rig.known import Known
+from rig.live_capture import LiveCapture
 from rig.photo_taker import PhotoTaker
 from rig.progress import CaptureProgress
 from rig.stage_moves import StageMoves
@@ -22,7 +24,9 @@ from rig.steps import (
     AskOperator,
     DrainTank,
     FillTank,
+    FindSweptRange,
     HomeStage,
+    JudgeSet,
     MoveStage,
     StartSweep,
     Step,
@@ -32,6 +36,7 @@ from rig.steps import (
     step_text,
 )
 from rig.stop_request import Boundary, StopRequest
+from rig.swept_range import find_swept_range
 from rig.tank_keeper import TankKeeper
 
 POLL_S = 0.25
@@ -50,9 +55,14 @@ class Sequencer:
         writer: SessionWriter,
         config: RigConfig,
         *,
+        known: Known,
+        live: LiveCapture | None,
         progress: CaptureProgress,
         stop: StopRequest,
     ) -> None:
+        self._known = known
+        self._live = live
+        self._writer = writer
         self._devices = devices
         self._journal = writer.journal
         self._config = config
@@ -127,6 +137,13 @@ class Sequencer:
                 self._start_sweep(step)
             case TakePhoto():
                 self.photos.take(step, following if isinstance(following, TakePhoto) else None)
+                if self._live is not None:
+                    self._live.photo_saved(step, following)
+            case FindSweptRange():
+                find_swept_range(step.set_name, self._writer, self._config, self._known)
+                raise PlanAgain
+            case JudgeSet():
+                self._judge(step)
 
     def _pump(self, step: FillTank | DrainTank) -> None:
         def on_poll(moved_ml: float) -> None:
@@ -151,6 +168,19 @@ class Sequencer:
         if step.request in ("insert_object", "remove_object"):
             self.object_present = step.request == "insert_object"
         self.tank.moved_by_hand(step.request)
+
+    def _judge(self, step: JudgeSet) -> None:
+        if self._live is None:
+            return
+        verdicts = self._live.judge_set(step.set_name, on_poll=self._stop.check)
+        self._known.judged |= {(step.set_name, axis) for axis in verdicts.good}
+        for axis in verdicts.void:
+            self._known.void((step.set_name, axis))
+            self.photos.taken -= {key for key in self.photos.taken if key[:2] == (step.set_name, axis)}
+        if verdicts.fault:
+            raise CaptureError(verdicts.fault)
+        if verdicts.void:
+            raise PlanAgain
 
     def _start_sweep(self, step: StartSweep) -> None:
         with part_of_rig("camera"):

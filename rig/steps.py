@@ -87,7 +87,32 @@ class TakePhoto:
         return (self.set_name, self.sweep, self.index)
 
 
-Step = HomeStage | MoveStage | FillTank | DrainTank | WaitUntilStill | AskOperator | StartSweep | TakePhoto
+@dataclass(frozen=True, slots=True)
+class FindSweptRange:
+    """Read from the photos of a set's scan which part of the display is seen, and plan the set's sweeps again."""
+
+    set_name: str
+
+
+@dataclass(frozen=True, slots=True)
+class JudgeSet:
+    """Wait until the sweeps of a set are decoded; bad ones are void, and planned again."""
+
+    set_name: str
+
+
+Step = (
+    HomeStage
+    | MoveStage
+    | FillTank
+    | DrainTank
+    | WaitUntilStill
+    | AskOperator
+    | StartSweep
+    | TakePhoto
+    | FindSweptRange
+    | JudgeSet
+)
 
 
 def step_duration_s(step: Step, config: RigConfig) -> float:
@@ -122,3 +147,7 @@ def step_text(step: Step) -> str:
             return f"sweep {step.set_name} along {step.axis}: {step.count} photos"
         case TakePhoto():
             return f"photo {step.set_name} {step.sweep} {step.index}"
+        case FindSweptRange():
+            return f"find the part of the display that {step.set_name} sees"
+        case JudgeSet():
+            return f"judge the sweeps of {step.set_name}"

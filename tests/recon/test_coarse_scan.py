@@ -60,7 +60,7 @@ def test_bars_side_by_side_differ_in_one_bit_and_the_display_beyond_is_dark() ->
 def test_every_stripe_that_a_pixel_sees_lies_within_the_range_and_little_else(low: float, span: float) -> None:
     one = pattern()
     bits, white, black = photos(ramp(low, low + span), one, noise=1.5)
-    found = range_of_bars(seen_bars(bits, white=white, black=black), one)
+    found = range_of_bars(seen_bars(bits, white=white, black=black), one, half_window=5)
     assert found is not None
     first, last = (low - one.first_px) / one.step_px, (low + span - one.first_px) / one.step_px
     # The window of photos that a place is made from: half the stripe is 1.5 steps, rounded up, and three beyond.
@@ -75,8 +75,8 @@ def test_a_region_of_the_photo_leaves_out_what_is_seen_beside_it() -> None:
     one = pattern()
     place = np.broadcast_to(np.linspace(30, 780, COLS), (ROWS, COLS))
     bits, white, black = photos(place, one, noise=1.5)
-    whole = range_of_bars(seen_bars(bits, white=white, black=black), one)
-    part = range_of_bars(seen_bars(bits, white=white, black=black, region=(140, 0, 160, ROWS - 1)), one)
+    whole = range_of_bars(seen_bars(bits, white=white, black=black), one, half_window=5)
+    part = range_of_bars(seen_bars(bits, white=white, black=black, region=(140, 0, 160, ROWS - 1)), one, half_window=5)
     assert whole is not None
     assert part is not None
     assert whole.last_index - whole.first_index > 180
@@ -86,19 +86,19 @@ def test_a_region_of_the_photo_leaves_out_what_is_seen_beside_it() -> None:
 def test_noise_alone_finds_nothing() -> None:
     one = pattern()
     bits, white, black = photos(np.full((ROWS, COLS), np.nan), one, noise=3.0)
-    assert range_of_bars(seen_bars(bits, white=white, black=black), one) is None
+    assert range_of_bars(seen_bars(bits, white=white, black=black), one, half_window=5) is None
 
 
 def test_single_pixels_of_nonsense_do_not_widen_the_range() -> None:
     one = pattern()
     place = ramp(300, 400)
     bits, white, black = photos(place, one, noise=1.5)
-    clean = range_of_bars(seen_bars(bits, white=white, black=black), one)
+    clean = range_of_bars(seen_bars(bits, white=white, black=black), one, half_window=5)
     rng = np.random.default_rng(5)
     for row, col in rng.integers([6, 60], [34, 240], (40, 2)):
         for counts in bits:
             counts[row, col] = rng.choice([10, 190])
-    spoiled = range_of_bars(seen_bars(bits, white=white, black=black), one)
+    spoiled = range_of_bars(seen_bars(bits, white=white, black=black), one, half_window=5)
     assert clean is not None
     assert spoiled is not None
     assert (spoiled.first_index, spoiled.last_index) == (clean.first_index, clean.last_index)
