@@ -21,9 +21,8 @@ from rig.causes import cause_of
 from rig.config import RigConfig
 from rig.devices import Devices
 from rig.errors import CaptureError, CaptureStopped
-from rig.flow import known_tank_ml
 from rig.known import Known
-from rig.ledger import level_text
+from rig.ledger import known_ml, level_text
 from rig.live_capture import LiveCapture
 from rig.plan import all_photos, plan_capture
 from rig.progress import CaptureProgress
@@ -97,13 +96,13 @@ class CaptureRun:
                 self._answer(error)
 
     def _plan(self) -> tuple[Step, ...]:
-        sequencer = self._sequencer
+        sequencer, tank_ml = self._sequencer, known_ml(self._devices.book.ledger.tank)
         plan = plan_capture(
             self._config,
             done=self._known.done | self.taken,
             ranges=self._known.ranges,
             judged=self._known.judged,
-            tank_ml=known_tank_ml(self._devices) if self._config.tank else 0.0,
+            tank_ml=learn_tank_ml(self._devices, self._config) if tank_ml is None else tank_ml,
             position=sequencer.stage.position,
             object_present=sequencer.object_present,
         )

@@ -10,6 +10,7 @@
     │   ├── WrongLevelError  the tank does not hold what it should after a flow
     │   ├── NotStoppedError  pump or stage did not obey a stop
     │   ├── WrongFrameError  a photo shows another frame than was commanded, or its tag cannot be read
+    │   ├── InterlockError   something must not be done as things stand (rig.interlocks)
     │   ├── LevelUnknownError nobody knows what the tank holds
     │   └── DiskLowError     there is no room for the next photo
     ├── LedgerError          what is known of the liquid cannot be read
@@ -51,6 +52,10 @@ class WrongFrameError(CaptureError):
 
 class DiskLowError(CaptureError):
     """The disk has no room for the next photo."""
+
+
+class InterlockError(CaptureError):
+    """Something must not be done as things stand; nothing was done."""
 
 
 class LevelUnknownError(CaptureError):

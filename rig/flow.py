@@ -10,8 +10,8 @@ from drivers.errors import DeviceError, DeviceTimeoutError, OutOfVolumeError
 from drivers.protocols import FlowDirection, Pump, PumpStatus
 from rig.config import RigConfig, Tank, longest_run_s
 from rig.devices import Devices, TankDevices
-from rig.errors import CaptureError, CaptureStopped, LevelUnknownError, TankAlarmError, WrongLevelError
-from rig.ledger import Destination, FlowBegun, FlowBroken, FlowEnded, Known, Ledger, LevelLearnt, Unknown, level_text
+from rig.errors import CaptureError, CaptureStopped, TankAlarmError, WrongLevelError
+from rig.ledger import Destination, FlowBegun, FlowBroken, FlowEnded, Known, Ledger, LevelLearnt, level_text
 from rig.plan import LEVEL_TOLERANCE
 
 # Slack beyond a pump's own time limit before it counts as stuck.
@@ -26,26 +26,6 @@ VOLUME_MARGIN = 1.1
 STANDING_TOLERANCE = 0.05
 # After a flow, how far the count may be from the sensor, as a part of what was moved: as much as a pump's rate may drift.
 COUNT_TOLERANCE = 0.1
-
-
-def check_pump_stands(devices: Devices | TankDevices, *, purpose: str) -> None:
-    """Refuse ``purpose`` while the pump runs, or while it says that something is wrong, such as a leak."""
-    if devices.pump is None:
-        return
-    status = devices.pump.status()
-    if status.running:
-        raise CaptureError(f"the pump is running, so it is not safe to {purpose}; stop it and try again")
-    if status.alarm:
-        raise TankAlarmError(f"pump: {status.alarm}; it is not safe to {purpose}, look at tank and pump first")
-
-
-def check_volume(direction: FlowDirection, *, volume_ml: float, tank_ml: float, tank: Tank) -> None:
-    """Refuse a flow that would take the tank past its free volume, before anything is pumped."""
-    if direction == "fill" and tank_ml + volume_ml > tank.free_volume_ml:
-        raise OutOfVolumeError(
-            f"pump: a fill of {volume_ml:.0f} ml asked, the tank holds {tank_ml:.0f} ml and may hold "
-            f"{tank.free_volume_ml:.0f} ml; fill less, or drain the tank first"
-        )
 
 
 def learn_level(devices: Devices | TankDevices, config: RigConfig) -> None:
@@ -74,17 +54,6 @@ def _compare(devices: Devices | TankDevices, measured_ml: float, *, tolerance_ml
             f"the level sensor says that the tank holds {measured_ml:.0f} ml, the ledger says {level_text(believed)}; look "
             "for a leak, an empty reservoir, a worn tube or a stuck sensor, then say what the tank holds with `rig pump level`"
         )
-
-
-def known_tank_ml(devices: Devices | TankDevices) -> float:
-    """Return what the tank holds, or refuse in one sentence when nobody knows."""
-    level = devices.book.ledger.tank
-    if isinstance(level, Unknown):
-        raise LevelUnknownError(
-            f"what the tank holds is unknown ({level.why}); measure it and say so with `rig pump level ML`, before anything "
-            "is pumped"
-        )
-    return level.ml
 
 
 def run_flow(

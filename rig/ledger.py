@@ -170,6 +170,11 @@ def _clock(when: str) -> str:
     return datetime.fromisoformat(when).astimezone().strftime("at %H:%M on %Y-%m-%d")
 
 
+def known_ml(level: Level) -> float | None:
+    """Return what a vessel holds, None while nobody knows."""
+    return level.ml if isinstance(level, Known) else None
+
+
 def entry_of(event: Event) -> tuple[str, dict[str, Any]]:
     """Return the name and the fields of the line that keeps ``event``."""
     name = next(name for name, kind in KINDS.items() if isinstance(event, kind))

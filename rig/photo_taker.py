@@ -12,8 +12,8 @@ from rig.config import RigConfig
 from rig.devices import Devices
 from rig.disk_room import disk_fault
 from rig.errors import CaptureError, DiskLowError, WrongFrameError
-from rig.flow import check_pump_stands
 from rig.frames import frame_of
+from rig.guard import Guard
 from rig.stage_moves import StageMoves
 from rig.steps import PhotoKey, TakePhoto
 from rig.tag_check import TagCheck
@@ -53,12 +53,14 @@ class PhotoTaker:
         config: RigConfig,
         *,
         stage: StageMoves,
+        guard: Guard,
         wait: Callable[[float], None],
     ) -> None:
         self._devices = devices
         self._writer = writer
         self._config = config
         self._stage = stage
+        self._guard = guard
         self._wait = wait
         self._shown: int | None = None
         self._shown_at_s = -math.inf
@@ -72,7 +74,7 @@ class PhotoTaker:
 
         What goes wrong with ``following``, which is shown meanwhile, is raised when ``photo`` is safe.
         """
-        check_pump_stands(self._devices, purpose="take a photo")
+        self._guard.check("photo")
         no_room = disk_fault(self._writer.folder, photo_mb=self._config.timing.photo_mb)
         if no_room is not None:
             raise DiskLowError(no_room)
@@ -106,7 +108,7 @@ class PhotoTaker:
         clock = self._devices.clock
         clock.sleep_s(self._shown_at_s + self._config.timing.settle_s - clock.now_s())
         self._uncollected = True
-        with _spoils_the_photo(), part_of_rig("camera"):
+        with _spoils_the_photo(), part_of_rig("camera"), self._guard.exposing():
             self._devices.camera.expose(timeout_s=PHOTO_TIMEOUT_S)
         if following is not None:
             try:

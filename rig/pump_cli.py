@@ -11,8 +11,9 @@ from rig import options
 from rig.config import RigConfig, Tank
 from rig.devices import Devices, TankDevices, open_tank
 from rig.errors import ConfigError
-from rig.flow import check_level_after, check_pump_stands, check_volume, known_tank_ml, learn_level, run_flow
-from rig.ledger import Destination, LevelLearnt, level_text
+from rig.flow import check_level_after, learn_level, run_flow
+from rig.guard import Guard
+from rig.ledger import Destination, LevelLearnt, known_ml, level_text
 from rig.options import choose_rig
 from rig.scene_config import SceneOptions
 from rig.stop_request import StopRequest
@@ -52,13 +53,15 @@ def _flow(
     tank = _tank(config)
     with StopRequest() as stop:
         learn_level(devices, config)
-        check_pump_stands(devices, purpose=f"start a {direction}")
-        tank_ml = known_tank_ml(devices)
+        guard = Guard(pump=devices.pump, book=devices.book, tank=tank)
+        guard.check(direction)
         if volume_ml is None:
-            volume_ml = ((to_ml or 0.0) - tank_ml) * (1 if direction == "fill" else -1)
+            volume_ml = ((to_ml or 0.0) - (known_ml(devices.book.ledger.tank) or 0.0)) * (
+                1 if direction == "fill" else -1
+            )
             if volume_ml <= 0:
                 return 0.0
-        check_volume(direction, volume_ml=volume_ml, tank_ml=tank_ml, tank=tank)
+        guard.check(direction, volume_ml=volume_ml)
         return run_flow(
             devices,
             config,

@@ -1,7 +1,7 @@
 """Runs a plan on devices and writes the session: the side effects of a capture, one step at a time.
 
-Interlocks: nothing moves while the pump runs, no photo is taken while anything moves, no flow starts that would
-take the tank past its free volume. Every intent is in the journal before its action begins.
+What must not be done is in :mod:`rig.interlocks`, and each room asks before it acts. Every intent is in the journal before
+its action begins.
 """
 
 from collections.abc import Sequence
@@ -14,7 +14,7 @@ from rig.causes import part_of_rig
 from rig.config import RigConfig
 from rig.devices import Devices
 from rig.errors import CaptureError, NotStoppedError
-from rig.flow import check_pump_stands
+from rig.guard import Guard
 from rig.known import Known
 from rig.live_capture import LiveCapture
 from rig.photo_taker import PhotoTaker
@@ -68,9 +68,10 @@ class Sequencer:
         self._config = config
         self._progress = progress
         self._stop = stop
-        self.stage = StageMoves(devices, writer.journal, config)
-        self.tank = TankKeeper(devices, writer.journal, config)
-        self.photos = PhotoTaker(devices, writer, config, stage=self.stage, wait=self._wait)
+        self._guard = guard = Guard(pump=devices.pump, book=devices.book, tank=config.tank)
+        self.stage = StageMoves(devices, writer.journal, config, guard=guard)
+        self.tank = TankKeeper(devices, writer.journal, config, guard=guard)
+        self.photos = PhotoTaker(devices, writer, config, stage=self.stage, guard=guard, wait=self._wait)
         self.object_present: bool | None = None
 
     def run(self, plan: Sequence[Step]) -> None:
@@ -160,7 +161,7 @@ class Sequencer:
             clock.sleep_s(min(left_s, POLL_S))
 
     def _ask(self, step: AskOperator) -> None:
-        check_pump_stands(self._devices, purpose="ask for hands in the tank")
+        self._guard.check("hands")
         self._journal.append("operator_asked", request=step.request, text=step.text)
         with self._stop.at_once():
             self._devices.operator.do(step.request, step.text)

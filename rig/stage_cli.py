@@ -1,5 +1,7 @@
 """``rig stage``: the stage by hand."""
 
+from collections.abc import Iterator
+from contextlib import contextmanager
 from pathlib import Path
 from typing import Annotated
 
@@ -10,7 +12,10 @@ from drivers.repeatability import measure_repeatability
 from rig import options
 from rig.devices import open_stage
 from rig.errors import ConfigError
+from rig.guard import Guard
+from rig.ledger_book import book_of, real_book
 from rig.options import Rig, choose_rig
+from rig.rehearsal import ledger_file
 from rig.scene_config import SceneOptions
 
 app = typer.Typer(
@@ -22,6 +27,16 @@ TIMEOUT_S = 300.0
 
 def _open(sim: bool, config: Path | None, scene: str | None) -> Rig:
     return choose_rig(sim, config, scene, SceneOptions())
+
+
+@contextmanager
+def _stage_to_move(rig: Rig, *, real_time: bool, state: Path | None) -> Iterator[Stage]:
+    """Open the stage, unless the pump may turn; the pump itself is not opened, so the ledger is asked."""
+    simulation = rig.simulation(real_time=real_time, state_file=state)
+    book = real_book(rig.config) if simulation is None else book_of(rig.config, ledger_file(simulation))
+    Guard(pump=None, book=book, tank=rig.config.tank).check("move")
+    with open_stage(rig.config, simulation=simulation) as stage:
+        yield stage
 
 
 def _where(stage: Stage) -> str:
@@ -40,7 +55,7 @@ def home(
 ) -> None:
     """Find the reference switch. Look first: the stage drives along its whole travel."""
     rig = _open(sim, config, scene)
-    with open_stage(rig.config, simulation=rig.simulation(real_time=real_time, state_file=state)) as stage:
+    with _stage_to_move(rig, real_time=real_time, state=state) as stage:
         stage.home(timeout_s=TIMEOUT_S)
         print(_where(stage))
 
@@ -57,7 +72,7 @@ def move(
 ) -> None:
     """Drive to a position; anything outside the travel is refused before the stage moves."""
     rig = _open(sim, config, scene)
-    with open_stage(rig.config, simulation=rig.simulation(real_time=real_time, state_file=state)) as stage:
+    with _stage_to_move(rig, real_time=real_time, state=state) as stage:
         if home_first:
             stage.home(timeout_s=TIMEOUT_S)
         stage.move_to_mm(position_mm, timeout_s=TIMEOUT_S)
@@ -83,7 +98,7 @@ def repeat(
     if position_mm == away_mm:
         raise ConfigError(f"--away is {away_mm:g} mm, the place to come back to as well; name two places that differ")
     rig = _open(sim, config, scene)
-    with open_stage(rig.config, simulation=rig.simulation(real_time=real_time, state_file=state)) as stage:
+    with _stage_to_move(rig, real_time=real_time, state=state) as stage:
         stage.home(timeout_s=TIMEOUT_S)
         found = measure_repeatability(
             stage, at_mm=position_mm, away_mm=away_mm, times=times, timeout_s=TIMEOUT_S, read_mm=_ask if gauge else None

@@ -5,7 +5,7 @@ from rig.causes import part_of_rig
 from rig.config import RigConfig
 from rig.devices import Devices
 from rig.errors import StageMovedError
-from rig.flow import check_pump_stands
+from rig.guard import Guard
 from rig.steps import MoveStage, Position
 
 # A stage may take twice its nominal time, plus what it takes to start.
@@ -18,29 +18,30 @@ POSITION_TOLERANCE_MM = 0.1
 class StageMoves:
     """Moves the display. ``position`` is where it stands, None while that is not known."""
 
-    def __init__(self, devices: Devices, journal: JournalWriter, config: RigConfig) -> None:
+    def __init__(self, devices: Devices, journal: JournalWriter, config: RigConfig, *, guard: Guard) -> None:
         self._devices = devices
         self._journal = journal
         self._config = config
+        self._guard = guard
         self._wanted_mm: float | None = None
         self.position: Position | None = None
 
     def home(self) -> None:
         """Find the stage's reference."""
-        check_pump_stands(self._devices, purpose="home the stage")
+        self._guard.check("home")
         self.forget()
         self._journal.append("homing_started")
-        with part_of_rig("stage"):
+        with part_of_rig("stage"), self._guard.moving():
             self._devices.stage.home(timeout_s=self._timeout_s())
             stage_mm = self._devices.stage.position_mm()
         self._journal.append("homing_finished", stage_mm=stage_mm)
 
     def move(self, step: MoveStage) -> None:
         """Carry the display to a position, and ask the stage whether it is there."""
-        check_pump_stands(self._devices, purpose="move the stage")
+        self._guard.check("move")
         self.forget()
         self._journal.append("move_started", position=step.position, to_mm=step.position_mm)
-        with part_of_rig("stage"):
+        with part_of_rig("stage"), self._guard.moving():
             self._devices.stage.move_to_mm(step.position_mm, timeout_s=self._timeout_s())
         self._wanted_mm = step.position_mm
         self._journal.append("move_finished", position=step.position, stage_mm=self.check_position_mm())

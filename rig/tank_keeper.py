@@ -8,8 +8,9 @@ from rig.causes import part_of_rig
 from rig.config import RigConfig
 from rig.devices import Devices
 from rig.errors import CaptureError, WrongLevelError
-from rig.flow import check_level_after, check_pump_stands, check_volume, known_tank_ml, learn_level, run_flow
-from rig.ledger import Known, LevelLearnt, Unknown
+from rig.flow import check_level_after, learn_level, run_flow
+from rig.guard import Guard
+from rig.ledger import LevelLearnt, Unknown, known_ml
 from rig.plan import LEVEL_TOLERANCE
 from rig.steps import DrainTank, FillTank, Request
 
@@ -38,22 +39,22 @@ def learn_tank_ml(devices: Devices, config: RigConfig, *, looked: bool = False) 
     if in_doubt:
         book.note(LevelLearnt("tank", devices.operator.tank_ml(fill_ml=tank.fill_ml), "told"))
         learn_level(devices, config)
-    return known_tank_ml(devices)
+    return known_ml(book.ledger.tank) or 0.0
 
 
 class TankKeeper:
     """Moves the liquid. What the tank holds is in the ledger (``devices.book``)."""
 
-    def __init__(self, devices: Devices, journal: JournalWriter, config: RigConfig) -> None:
+    def __init__(self, devices: Devices, journal: JournalWriter, config: RigConfig, *, guard: Guard) -> None:
         self._devices = devices
         self._journal = journal
         self._config = config
+        self._guard = guard
 
     @property
     def tank_ml(self) -> float | None:
         """What the tank holds, None while nobody knows."""
-        level = self._devices.book.ledger.tank
-        return level.ml if isinstance(level, Known) else None
+        return known_ml(self._devices.book.ledger.tank)
 
     def flow(self, step: FillTank | DrainTank, *, on_poll: Callable[[float], None]) -> None:
         """Fill or drain as planned; ``on_poll`` gets the millilitres so far, and what it raises ends the flow."""
@@ -61,9 +62,8 @@ class TankKeeper:
         tank = self._config.tank
         if self._devices.pump is None or tank is None:
             raise CaptureError(f"the plan asks for a {direction}, but this rig has no pump; check section [tank]")
-        check_pump_stands(self._devices, purpose=f"start a {direction}")
-        before_ml = known_tank_ml(self._devices)
-        check_volume(direction, volume_ml=step.volume_ml, tank_ml=before_ml, tank=tank)
+        self._guard.check(direction, volume_ml=step.volume_ml)
+        before_ml = self.tank_ml or 0.0  # known, or the guard had refused
         self._journal.append(
             f"{direction}_started", volume_ml=step.volume_ml, to_ml=step.to_ml, max_run_s=step.max_run_s
         )
@@ -79,7 +79,7 @@ class TankKeeper:
                 self._journal.append(
                     f"{direction}_stopped", moved_ml=abs(self.tank_ml - before_ml), tank_ml=self.tank_ml
                 )
-        now_ml = known_tank_ml(self._devices)
+        now_ml = self.tank_ml or 0.0
         if abs(now_ml - step.to_ml) > LEVEL_TOLERANCE * tank.fill_ml:
             raise WrongLevelError(
                 f"the {direction} ended with {now_ml:.0f} ml in the tank instead of {step.to_ml:.0f} ml "

@@ -113,7 +113,7 @@ WRONG = [
     (("stage", "move", "31", "--sim", "--home"), "stage: 31 mm asked, travel is 0 to 30 mm"),
     (("stage", "move", "20", "--sim"), "it was not homed; run `rig stage home` first"),
     (("stage", "where", "--sim", "--state", "full/file"), "not the state of a simulated rig"),
-    (("pump", "fill", "6001", "--sim"), "the tank holds 0 ml and may hold 6000 ml"),
+    (("pump", "fill", "6001", "--sim"), "and may hold 6000 ml; fill less"),
     (("pump", "fill", "0", "--sim"), "needs a volume above 0 ml"),
     (("pump", "fill", "nan", "--sim"), "needs a volume above 0 ml"),
     (("pump", "status", "--sim", "--scene", "thin_cone"), "this rig has no pump"),

@@ -8,13 +8,13 @@ from typing import Any
 import pytest
 from rich.console import Console
 
-from drivers.errors import DeviceBusyError, DeviceError, DeviceProtocolError, DeviceTimeoutError, OutOfVolumeError
+from drivers.errors import DeviceBusyError, DeviceError, DeviceProtocolError, DeviceTimeoutError
 from drivers.protocols import Photo
 from recon.session import open_session
 from rig.capture import capture
 from rig.config import RigConfig
 from rig.devices import open_devices
-from rig.errors import CaptureError, CaptureStopped
+from rig.errors import CaptureError, CaptureStopped, InterlockError
 from rig.plan import all_photos
 from rig.rehearsal import Simulation
 from sim_backend.world import WorldState
@@ -188,7 +188,7 @@ def test_a_fill_that_would_overflow_is_refused_before_anything_flows(
         sensor = Wrapped(devices.level_sensor, volume_ml=lambda: next(readings, 0.0))
         tank = config.tank.model_copy(update={"free_volume_ml": config.tank.fill_ml / 2})
         small = config.model_copy(update={"tank": tank})
-        with pytest.raises(OutOfVolumeError, match="may hold"):
+        with pytest.raises(InterlockError, match="may hold"):
             capture(
                 small,
                 tmp_path / "session",

@@ -10,6 +10,8 @@ import pytest
 
 from drivers.protocols import Frame
 from rig.cli import main
+from rig.ledger import FlowBegun
+from rig.ledger_book import LedgerBook
 from sim_backend.clock import FastClock
 from sim_backend.grbl_emulator import GrblEmulator
 from sim_backend.grbl_homing import GrblFaults
@@ -121,3 +123,18 @@ def test_two_places_that_are_the_same_are_refused(rig: Run) -> None:
     code, _, err = rig("stage", "repeat", "20", "--away", "20", "--sim")
     assert code == 1
     assert "name two places that differ" in err
+
+
+@pytest.mark.parametrize("asked", [("home",), ("move", "5", "--home"), ("repeat", "5", "--away", "6")])
+def test_the_stage_stands_still_while_a_flow_has_no_end_on_record(
+    rig: Run, tmp_path: Path, asked: tuple[str, ...]
+) -> None:
+    kept = ("--sim", "--state", "bench.json")
+    before = rig("stage", "where", *kept)[1]
+    LedgerBook(tmp_path / "bench.json.liquid.jsonl", total_ml=5000.0).note(FlowBegun("fill", 300.0))
+    code, out, err = rig("stage", *asked, *kept)
+    assert (code, out) == (1, "")
+    assert "it is not safe to move the stage; stop it (`rig pump stop`)" in err
+    assert rig("stage", "where", *kept)[1] == before
+    rig("pump", "stop", *kept)
+    assert rig("stage", "home", *kept)[0] == 0
