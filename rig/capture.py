@@ -9,8 +9,11 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from rich.console import Console
+from rich.progress import Progress
 
-from recon.session import SessionWriter, open_session
+from recon.journal import JOURNAL_NAME, read_journal
+from recon.session import Session, SessionWriter, open_session
+from rig.aftermath import aftermath, aftermath_text
 from rig.capture_run import CaptureRun
 from rig.config import RigConfig
 from rig.devices import Devices
@@ -21,6 +24,7 @@ from rig.live_capture import LiveCapture
 from rig.person import Person
 from rig.plan import all_photos, plan_capture, summarise
 from rig.progress import CaptureProgress
+from rig.session_check import check_session, check_text
 from rig.session_manifest import manifest_of
 from rig.standstill import Standstill, clear_latch
 from rig.stop_request import Boundary, StopRequest
@@ -72,8 +76,10 @@ def capture(
         stop = stack.enter_context(StopRequest(lambda: console.print(note), pause_after=pause_after))
         known = Known()
         if resume:
+            session = open_session(folder)
+            with stop.at_once():
+                known = look_at_session(session, config, console=console)
             writer = stack.enter_context(SessionWriter.reopen(folder))
-            known = known_of(open_session(folder))
             clear_latch(writer, person=person, checked=checked, idle=devices.camera.keep_awake)
         else:
             manifest = manifest_of(config, devices=devices.records(), scene=scene)
@@ -113,6 +119,18 @@ def capture(
             with suppress(CaptureStopped, KeyboardInterrupt):  # every photo is saved: there is nothing left to stop
                 live.finish(on_poll=stop.check)
         return CaptureResult(len(run.taken), needed, needed)
+
+
+def look_at_session(session: Session, config: RigConfig, *, console: Console) -> Known:
+    """Read every photo of a session that is to be resumed, and say what is there and how the last program ended."""
+    with Progress(console=console, transient=True, disable=not console.is_terminal) as bar:
+        task = bar.add_task("reading the photos so far", total=len(session.photos))
+        found = check_session(session, on_photo=lambda done, _: bar.update(task, completed=done))
+    planned = [photo.key for photo in all_photos(config, session.ranges)]
+    after = aftermath(read_journal(session.folder / JOURNAL_NAME))
+    for line in (*check_text(found, planned=planned), *aftermath_text(after)):
+        console.print(f"{session.folder}: {line}", markup=False)
+    return known_of(session, found)
 
 
 def _rehearsal(devices: Devices, scene: Scene | None) -> str:

@@ -28,6 +28,7 @@ from rig.plan import plan_capture
 from rig.plan_table import print_plan
 from rig.pump_cli import app as pump_app
 from rig.scene_config import SceneOptions, config_of_scene, open_scene
+from rig.session_check import check_session
 from rig.simulate import simulate_session
 from rig.stage_cli import app as stage_app
 from rig.steps import step_text
@@ -98,7 +99,10 @@ def capture(
     else:
         rig = choose_rig(sim, config, scene, changes)
     if dry_run:
-        known = known_of(open_session(session)) if resume else Known()
+        known = Known()
+        if resume:
+            opened = open_session(session)
+            known = known_of(opened, check_session(opened))
         for step in plan_capture(rig.config, done=known.done, ranges=known.ranges, judged=known.judged):
             console.print(step_text(step), markup=False)
         return

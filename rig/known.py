@@ -1,10 +1,10 @@
 """What is known of a session beyond its plan: photos that are whole, ranges that were found, sweeps that were judged."""
 
 from dataclasses import dataclass, field
-from hashlib import sha256
 
 from recon.journal import JOURNAL_NAME, SweepRange, read_journal
 from recon.session import Session
+from rig.session_check import SessionCheck
 from rig.steps import PhotoKey
 
 SweepKey = tuple[str, str]  # set, axis
@@ -24,22 +24,12 @@ class Known:
         self.judged.discard(sweep)
 
 
-def known_of(session: Session) -> Known:
-    """Return what a session knows: photos that the disk confirms, and what the journal says of its sweeps."""
+def known_of(session: Session, found: SessionCheck) -> Known:
+    """Return what a session knows: photos that were found whole on the disk, and what the journal says of its sweeps."""
     judged: set[SweepKey] = set()
     for entry in read_journal(session.folder / JOURNAL_NAME):
         if entry["event"] == "sweep_judged":
             judged.add((str(entry.get("set")), str(entry.get("axis"))))
         elif entry["event"] == "sweep_rejected":
             judged.discard((str(entry.get("set")), str(entry.get("sweep"))))
-    return Known(set(whole_photos(session)), dict(session.ranges), judged)
-
-
-def whole_photos(session: Session) -> frozenset[PhotoKey]:
-    """Return the photos that the journal names and the disk confirms: present, and of the recorded hash."""
-    whole = set()
-    for key, record in session.photos.items():
-        path = session.folder / record.file
-        if record.sha256 is not None and path.is_file() and sha256(path.read_bytes()).hexdigest() == record.sha256:
-            whole.add(key)
-    return frozenset(whole)
+    return Known(set(found.whole), dict(session.ranges), judged)

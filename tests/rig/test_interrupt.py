@@ -85,7 +85,10 @@ def test_an_interrupt_among_photos_leaves_a_session_that_resumes_to_the_same_byt
     resumed = start_rig("capture", "--resume", "--session", "session", "--sim", folder=tmp_path)
     out, err = resumed.communicate(timeout=PATIENCE_S)
     assert (resumed.returncode, err) == (0, "")
-    assert out == f"session: 72 photos, {72 - done} of them taken now\n"
+    assert out == (
+        f"session: {done} of 72 photos are whole, {72 - done} to be taken\n"
+        f"session: 72 photos, {72 - done} of them taken now\n"
+    )
     assert read_photo_bytes(session) == read_photo_bytes(captured)
 
 

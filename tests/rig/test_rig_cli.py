@@ -40,7 +40,10 @@ def test_a_rehearsal_writes_a_whole_session(rig: Run, tiny_arguments, tmp_path: 
     assert out == "s: 72 photos, 72 of them taken now\n"
     assert len(open_session(tmp_path / "s").photos) == 72
     code, out, _ = rig("capture", "--sim", "--resume", "--session", "s")
-    assert (code, out) == (0, "s: 72 photos, 0 of them taken now\n")
+    assert (code, out) == (
+        0,
+        "s: 72 of 72 photos are whole, 0 to be taken\ns: 72 photos, 0 of them taken now\n",
+    )
 
 
 def test_simulate_writes_session_and_truth(rig: Run, tiny_arguments, tmp_path: Path) -> None:
