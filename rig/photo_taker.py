@@ -7,11 +7,13 @@ from contextlib import contextmanager, suppress
 from drivers.errors import DeviceBusyError, DeviceError, DeviceProtocolError
 from drivers.protocols import Photo
 from recon.session import SessionWriter
+from rig.camera_freeze import CameraFreeze
 from rig.causes import part_of_rig
 from rig.config import RigConfig
 from rig.devices import Devices
 from rig.disk_room import disk_fault
 from rig.errors import CaptureError, DiskLowError, WrongFrameError
+from rig.exposure_check import check_exposure
 from rig.frames import frame_of
 from rig.guard import Guard
 from rig.stage_moves import StageMoves
@@ -27,7 +29,10 @@ RETRY_PAUSE_S = 1.0
 
 
 class SpoiledPhotoError(Exception):
-    """A photo was damaged, stale, of another frame or somebody else's, or the camera was busy; ``fault`` says which."""
+    """A photo was damaged, stale, of another frame, exposed otherwise or somebody else's, or the camera was busy.
+
+    ``fault`` says which.
+    """
 
     def __init__(self, fault: DeviceError | CaptureError) -> None:
         super().__init__(str(fault))
@@ -65,6 +70,7 @@ class PhotoTaker:
         self._shown: int | None = None
         self._shown_at_s = -math.inf
         self._tag_check = TagCheck(config)
+        self._freeze = CameraFreeze(devices.camera, writer, config.camera.settings)
         self._uncollected = False
         self._display_fault: DeviceError | None = None
         self.taken: set[PhotoKey] = set()
@@ -78,6 +84,8 @@ class PhotoTaker:
         no_room = disk_fault(self._writer.folder, photo_mb=self._config.timing.photo_mb)
         if no_room is not None:
             raise DiskLowError(no_room)
+        with part_of_rig("camera"):
+            self._freeze.for_set(photo.set_name)
         for attempt in range(1, PHOTO_ATTEMPTS + 1):
             try:
                 files, frame_tag = self._taken(photo, following)
@@ -118,8 +126,10 @@ class PhotoTaker:
         with _spoils_the_photo(), part_of_rig("camera"):
             files = self._devices.camera.collect(timeout_s=PHOTO_TIMEOUT_S)
             self._uncollected = False
+            name = f"photo {photo.set_name} {photo.sweep} {photo.index}"
             if not files:
-                raise DeviceProtocolError(f"camera: no file for photo {photo.set_name} {photo.sweep} {photo.index}")
+                raise DeviceProtocolError(f"camera: no file for {name}")
+            check_exposure(files, self._freeze.settings, name=name)
             return files, self._tag_check.check(photo, files)
 
     def _discard_uncollected(self) -> None:

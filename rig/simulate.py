@@ -19,6 +19,7 @@ from rig.plan import all_photos, set_name, set_order
 from rig.progress import CaptureProgress
 from rig.session_manifest import SIMULATED_DEVICE, manifest_of
 from rig.steps import SetPlace, TakePhoto
+from sim_backend.camera import DEFAULT_SETTINGS, developed
 from sim_backend.photography import Photographer, save_truth
 from sim_backend.scene import Scene
 
@@ -88,9 +89,10 @@ def develop(
 def take(photo: TakePhoto, place: SetPlace, photographer: Photographer, config: RigConfig) -> bytes:
     """Return one photo as the simulated camera would take it at this point of the plan."""
     position, condition = place
-    return photographer.photograph(
+    data = photographer.photograph(
         frame_of(photo, config),
         stage_position_mm=config.stage.position_mm(position),
         wet=condition == "liquid",
         object_present=condition != "without",
     )
+    return developed(data, DEFAULT_SETTINGS)

@@ -1,18 +1,31 @@
 """A simulated camera: it photographs what the world shows while its shutter is open."""
 
+from collections.abc import Mapping
+from fractions import Fraction
 from types import TracebackType
 
 from drivers.errors import DeviceBusyError, DeviceProtocolError, DeviceTimeoutError
 from drivers.protocols import DeviceInfo, Photo
+from sim_backend.exif import Exposure, with_exif
 from sim_backend.exposure import TakesPhotos, WorldExposure
 from sim_backend.world import World
 
 # What can be set on this body. A simulated exposure does not depend on it: the scene fixes how bright a photo is.
+# It only stands in the photo, as any camera writes it there.
 DEFAULT_SETTINGS = {"shutter": "1/4", "aperture": "8", "iso": "100", "white_balance": "daylight", "focus": "manual"}
 
 
+def developed(photo: bytes, settings: Mapping[str, str]) -> bytes:
+    """Return the file of a photo that was taken with ``settings``, which stand in its Exif."""
+    exposure = Exposure(Fraction(settings["shutter"]), Fraction(settings["aperture"]), int(settings["iso"]))
+    return with_exif(photo, exposure)
+
+
 class SimulatedCamera:
-    """Photographs ``world`` through ``optics``. Implements :class:`drivers.protocols.Camera`."""
+    """Photographs ``world`` through ``optics``. Implements :class:`drivers.protocols.Camera`.
+
+    ``dial_turned`` counts the photos to come for which somebody turns the dial to twice the time, and back again.
+    """
 
     def __init__(self, world: World, optics: TakesPhotos, *, exposure_s: float, download_s: float) -> None:
         self._world = world
@@ -22,6 +35,7 @@ class SimulatedCamera:
         self._settings = dict(DEFAULT_SETTINGS)
         self._exposed = False
         self._count = 0
+        self.dial_turned = 0
 
     def info(self) -> DeviceInfo:
         """Say that this camera is simulated."""
@@ -38,7 +52,20 @@ class SimulatedCamera:
             raise DeviceProtocolError(
                 f"camera: setting {unknown[0]!r} asked, this camera has {', '.join(sorted(self._settings))}"
             )
-        self._settings |= settings
+        wanted = self._settings | settings
+        try:
+            developed(b"", wanted)
+        except (ValueError, ZeroDivisionError):
+            raise DeviceProtocolError(
+                f"camera: {settings} asked; shutter takes seconds such as 1/4, aperture and iso take numbers"
+            ) from None
+        self._settings = wanted
+
+    def _settings_of_photo(self) -> dict[str, str]:
+        if self.dial_turned == 0:
+            return self._settings
+        self.dial_turned -= 1
+        return self._settings | {"shutter": str(2 * Fraction(self._settings["shutter"]))}
 
     def expose(self, *, timeout_s: float) -> None:
         """Take one photo; the display may change when this returns."""
@@ -55,7 +82,7 @@ class SimulatedCamera:
             raise DeviceProtocolError("camera: a photo was asked for, but none was taken; expose first")
         self._wait(self._download_s, timeout_s=timeout_s, what="the download")
         self._exposed = False
-        data = self._exposure.develop()
+        data = developed(self._exposure.develop(), self._settings_of_photo())
         self._count += 1
         return (Photo(data, ".jpg", f"sim{self._count:05d}.jpg"),)
 

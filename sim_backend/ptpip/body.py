@@ -12,6 +12,7 @@ import time
 from collections.abc import Callable
 from dataclasses import dataclass, replace
 
+from sim_backend.exif import Exposure, with_exif
 from sim_backend.ptpip.datasets import ASSOCIATION, JPEG, BodyInfo, Property, StoredObject, array_u32, storage_info
 from sim_backend.ptpip.faults import Faults
 from sim_backend.ptpip.sources import Photographs, as_exposing
@@ -163,12 +164,20 @@ class Body:
     def _kept(self, new_photo: Callable[[], bytes]) -> bytes:
         """Return the file of one photo; a stale one repeats the photo before."""
         with self._lock:
-            fresh = new_photo()
+            fresh = with_exif(new_photo(), self._exposure_of_photo())
             if self.faults.happens("stale") and self._last_photo is not None:
                 fresh = self._last_photo
             self._last_photo = fresh
             self.photos_taken += 1
             return fresh
+
+    def exposure(self) -> Exposure:
+        """Return the exposure that the settings ask for."""
+        raise NotImplementedError
+
+    def _exposure_of_photo(self) -> Exposure:
+        exposure = self.exposure()
+        return replace(exposure, time_s=2 * exposure.time_s) if self.faults.happens("dial_turned") else exposure
 
     def live_view(self) -> bytes:
         """Return what the sensor sees now, without taking a photo."""

@@ -8,7 +8,9 @@ with CaptureDestination "host" stays in the body's memory until the host has fet
 import struct
 import threading
 import time
+from fractions import Fraction
 
+from sim_backend.exif import Exposure
 from sim_backend.ptpip.body import (
     DEVICE_BUSY,
     INVALID_PARAMETER,
@@ -44,10 +46,15 @@ RAW = 0xB103
 # A RAW file is a TIFF; the emulated one holds the JPEG's bytes behind the header, and no picture.
 TIFF_HEADER = b"II*\0"
 VIEWFINDER_JPEG = 1
+APERTURE, EXPOSURE_TIME, SENSITIVITY = 0xD101, 0xD102, 0xD103
+# What the values of these properties stand for.
+F_NUMBERS = {0x28: Fraction(4), 0x30: Fraction(56, 10), 0x38: Fraction(8), 0x40: Fraction(11)}
+TIMES_S = {0x40: Fraction(1, 2), 0x48: Fraction(1, 4), 0x50: Fraction(1, 8), 0x58: Fraction(1, 15)}
+SENSITIVITIES = {0x48: 100, 0x50: 200, 0x58: 400}
 PROPERTIES = (
-    Property(0xD101, UINT32, 0x38, (0x28, 0x30, 0x38, 0x40)),  # aperture: f/4, 5.6, 8, 11
-    Property(0xD102, UINT32, 0x48, (0x40, 0x48, 0x50, 0x58)),  # exposure time: 0.5, 1/4, 1/8, 1/15
-    Property(0xD103, UINT32, 0x48, (0x48, 0x50, 0x58)),  # ISO 100, 200, 400
+    Property(APERTURE, UINT32, 0x38, tuple(F_NUMBERS)),
+    Property(EXPOSURE_TIME, UINT32, 0x48, tuple(TIMES_S)),
+    Property(SENSITIVITY, UINT32, 0x48, tuple(SENSITIVITIES)),
     Property(0xD105, UINT32, 3),  # exposure mode: manual; the dial on the body sets it
     Property(0xD106, UINT32, 0, (0, 1)),  # drive: single, continuous
     Property(0xD108, UINT32, 3, (0, 3)),  # focus: one shot, manual
@@ -113,6 +120,14 @@ class CanonEos40D(Body):
     def writes_to_card(self) -> bool:
         """Tell whether the capture destination is the card."""
         return self.properties[CAPTURE_DESTINATION].value == TO_CARD
+
+    def exposure(self) -> Exposure:
+        """Return the exposure that the settings ask for."""
+        return Exposure(
+            TIMES_S[self.properties[EXPOSURE_TIME].value],
+            F_NUMBERS[self.properties[APERTURE].value],
+            SENSITIVITIES[self.properties[SENSITIVITY].value],
+        )
 
     def announce(self, stored: StoredObject) -> None:
         """Queue the record that tells of a photo."""

@@ -23,6 +23,8 @@ class Faults:
         Captures that the camera accepts and forgets: no photo comes.
     dropped_link
         Requests for a capture at which the connection breaks.
+    dial_turned
+        Photos for which somebody turns the dial of the shutter's time one step to the longer, and back again.
     hidden_settings
         Settings that the body accepts and does not take over.
     silent
@@ -40,6 +42,7 @@ class Faults:
     stray_in_capture: int = 0
     lost: int = 0
     dropped_link: int = 0
+    dial_turned: int = 0
     hidden_settings: int = 0
     silent: bool = False
     card_full: bool = False

@@ -6,7 +6,9 @@ f-numbers in hundredths.
 
 import threading
 import time
+from fractions import Fraction
 
+from sim_backend.exif import Exposure
 from sim_backend.ptpip.body import (
     CAPTURE_COMPLETE,
     DEVICE_BUSY,
@@ -21,14 +23,15 @@ from sim_backend.ptpip.datasets import UINT8, UINT16, UINT32, BodyInfo, Property
 from sim_backend.ptpip.sources import Photographs
 
 INITIATE_CAPTURE = 0x100E
+F_NUMBER, EXPOSURE_TIME, EXPOSURE_INDEX = 0x5007, 0x500D, 0x500F
 PROPERTIES = (
     Property(0x5001, UINT8, 100),  # battery level, per cent
     Property(0x5005, UINT16, 4, (2, 4, 6)),  # white balance: automatic, daylight, tungsten
-    Property(0x5007, UINT16, 800, (400, 560, 800, 1100)),  # f-number
+    Property(F_NUMBER, UINT16, 800, (400, 560, 800, 1100)),  # f-number
     Property(0x500A, UINT16, 1, (1, 2)),  # focus: manual, automatic
-    Property(0x500D, UINT32, 2500, (625, 1250, 2500, 5000)),  # exposure time
+    Property(EXPOSURE_TIME, UINT32, 2500, (625, 1250, 2500, 5000)),  # exposure time
     Property(0x500E, UINT16, 1, (1, 2)),  # exposure program: manual, automatic
-    Property(0x500F, UINT16, 100, (100, 200, 400)),  # exposure index
+    Property(EXPOSURE_INDEX, UINT16, 100, (100, 200, 400)),  # exposure index
 )
 
 
@@ -61,6 +64,14 @@ class GenericBody(Body):
             operations=self.operations(),
             events=(OBJECT_ADDED, CAPTURE_COMPLETE),
             properties=tuple(self.properties),
+        )
+
+    def exposure(self) -> Exposure:
+        """Return the exposure that the settings ask for."""
+        return Exposure(
+            Fraction(self.properties[EXPOSURE_TIME].value, 10_000),
+            Fraction(self.properties[F_NUMBER].value, 100),
+            self.properties[EXPOSURE_INDEX].value,
         )
 
     def _initiate_capture(self, _request: Request) -> Reply:

@@ -83,16 +83,20 @@ class Responder:
             connection.sendall(data)
 
     def _attend_commands(self, connection: socket.socket) -> None:
-        self._sessions += 1
-        self._body.close()
-        self._send(connection, packets.init_command_ack(self._sessions, GUID, self._body.describe().model))
+        with self._lock:
+            self._sessions += 1
+            session = self._sessions
+            self._body.close()
+        self._send(connection, packets.init_command_ack(session, GUID, self._body.describe().model))
         try:
             while True:
                 kind, payload = packets.read_packet(connection)
                 if kind == PacketType.REQUEST:
                     self._attend_request(connection, payload)
         finally:
-            self._body.close()
+            with self._lock:
+                if session == self._sessions:  # else the next host has come before this one was seen to be gone
+                    self._body.close()
 
     def _attend_events(self, connection: socket.socket) -> None:
         self._send(connection, packets.packet(PacketType.INIT_EVENT_ACK))

@@ -1,5 +1,6 @@
 """A numbered photo for each shutter release, so that a test can say which one it got."""
 
+import struct
 from itertools import count
 
 import numpy as np
@@ -20,3 +21,10 @@ class NumberedPhotos:
     def __call__(self) -> bytes:
         self.given.append(numbered(self._picture, next(self._numbers)))
         return self.given[-1]
+
+
+def without_exif(data: bytes) -> bytes:
+    """Return a JPEG file without the segment that the camera's body put behind its start."""
+    assert data[2:4] == b"\xff\xe1"
+    (length,) = struct.unpack_from(">H", data, 4)
+    return data[:2] + data[4 + length :]
