@@ -79,7 +79,7 @@ class Finding:
             "camera": f"the camera moved: marks and display by {size}",
             "object": f"the object moved: {'its marks' if self.part == 'marks' else 'what is seen through it'} by {size}",
             "display": f"the display slipped: its picture moved by {size}",
-            "liquid": f"the liquid is not still: the display's picture wobbles by {size}",
+            "liquid": f"the liquid is not still, or stands at another level: the display's picture moved by {size}",
             "camera or display": f"camera or display moved, which only marks could tell: the picture moved by {size}",
             "camera or object": f"camera or object moved: the marks by {size}",
         }[self.cause]
@@ -98,7 +98,8 @@ def part_masks(parts: SceneParts, *, rows: int, columns: int) -> dict[Part, Mask
     if parts.object_px:
         masks["object"] = (cv2.erode(outline, edge) > 0) & (cv2.dilate(marks, edge) == 0)
     if parts.marks_px:
-        masks["marks"] = cv2.erode(marks, edge) > 0
+        # Their outlines are drawn by hand: a pixel of margin, and all of the mark else, since it is small.
+        masks["marks"] = cv2.erode(marks, np.ones((3, 3), np.uint8)) > 0
     return masks
 
 

@@ -11,6 +11,8 @@ This is the error along the other path, for the worse of the two positions and t
 part of it. It is the systematic counterpart of the FEP's covariance (:mod:`recon.entry_point`).
 """
 
+from dataclasses import dataclass
+
 import numpy as np
 from jaxtyping import Float64
 
@@ -58,3 +60,47 @@ def photo_scale_mm(camera: CameraBody, display: Pose) -> float | None:
     forward = np.cross(camera.pose.x_axis, camera.pose.y_axis)
     depth_mm = float((np.array(display.centre_mm) - np.array(camera.pose.centre_mm)) @ forward)
     return depth_mm / float(np.sqrt(camera.intrinsics.focal_x_px * camera.intrinsics.focal_y_px))
+
+
+@dataclass(frozen=True, slots=True)
+class ErrorScale:
+    """From photo px to the error of an FEP: px to mm, and what a display's slip and a motion as a whole are multiplied by."""
+
+    mm_per_px: float
+    display: float
+    whole: float
+
+    def error_mm(self, shift_px: float, *, of_display: bool) -> float:
+        """Return the error for a shift that was seen in the photo."""
+        return shift_px * self.mm_per_px * (self.display if of_display else self.whole)
+
+
+def typical_scale(camera: CameraBody, poses: tuple[Pose, Pose], *, n_liquid: float, n_air: float) -> ErrorScale | None:
+    """Return the scale before anything is known of the object; None for a camera that was not calibrated."""
+    mm_per_px = photo_scale_mm(camera, poses[0])
+    if mm_per_px is None:
+        return None
+    angle_rad = typical_angle_rad(n_liquid=n_liquid, n_air=n_air)
+    lever = float(display_lever(np.array([TYPICAL_PLACE]))[0])
+    return ErrorScale(
+        mm_per_px,
+        display=fep_error_mm(1.0, lever=lever, angle_rad=angle_rad),
+        whole=fep_error_mm(1.0, lever=1.0, angle_rad=angle_rad),
+    )
+
+
+def measured_scale(
+    camera: CameraBody,
+    poses: tuple[Pose, Pose],
+    *,
+    point_mm: Float64[np.ndarray, "points 3"],
+    angle_rad: Float64[np.ndarray, " points"],
+) -> ErrorScale | None:
+    """Return the scale of a reconstructed object: the medians over its FEPs; None without any, or without a calibrated camera."""
+    mm_per_px = photo_scale_mm(camera, poses[0])
+    sound = np.isfinite(point_mm).all(axis=1) & (angle_rad > 0)
+    if mm_per_px is None or not sound.any():
+        return None
+    sine = np.sin(angle_rad[sound])
+    lever = display_lever(places_along_paths(point_mm[sound], poses))
+    return ErrorScale(mm_per_px, display=float(np.median(lever / sine)), whole=float(np.median(1 / sine)))

@@ -26,8 +26,8 @@ REACH_PX = 2
 # About this many blocks across the photo: enough of them to see whether a part moves as one.
 BLOCKS_ACROSS = 20
 SMALLEST_BLOCK_PX = 8
-# A block counts when this share of it belongs to the part.
-SMALLEST_SHARE = 0.25
+# A block counts when this share of it belongs to the part: small marks do not lie on the blocks' grid.
+SMALLEST_SHARE = 0.125
 COARSE = 4
 # Beyond this a shift is first undone by whole pixels.
 LARGEST_STRAIGHT_PX = 0.6

@@ -12,6 +12,7 @@ from rich.console import Console
 from rich.progress import Progress
 
 from recon.journal import JOURNAL_NAME, read_journal
+from recon.scene_check import REFERENCE
 from recon.session import Session, SessionWriter, open_session
 from rig.aftermath import aftermath, aftermath_text
 from rig.capture_run import CaptureRun
@@ -118,7 +119,7 @@ def capture(
         if live is not None:
             with suppress(CaptureStopped, KeyboardInterrupt):  # every photo is saved: there is nothing left to stop
                 live.finish(on_poll=stop.check)
-        return CaptureResult(len(run.taken), needed, needed)
+        return CaptureResult(len([key for key in run.taken if key[1] != REFERENCE]), needed, needed)
 
 
 def look_at_session(session: Session, config: RigConfig, *, console: Console) -> Known:

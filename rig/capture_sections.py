@@ -1,10 +1,10 @@
 """Sections of the configuration that make a capture shorter or safer: each may be left out."""
 
-from typing import Annotated
+from typing import Annotated, Literal, Self
 
-from pydantic import Field
+from pydantic import Field, model_validator
 
-from recon.manifest import Part, Positive
+from recon.manifest import Finite, Part, Positive
 
 Share = Annotated[float, Field(ge=0, le=1, allow_inf_nan=False)]
 PhotoPixel = Annotated[int, Field(ge=0)]
@@ -36,3 +36,36 @@ class Live(Part):
     largest_entry_sd_mm: Positive | None = None
     attempts: Annotated[int, Field(ge=1)] = 2
     page_port: Annotated[int, Field(ge=0, le=65535)] = 0
+
+
+class Watch(Part):
+    """Reference photos before and after each sweep show whether camera, object, display, light and liquid stayed as they were.
+
+    ``object_px`` outlines the object in the photos, corner by corner (x, y); ``marks_px`` are printed marks, each by its first
+    column, first row, last column and last row. ``finest_px`` is the finest detail of the reference frame in device pixels;
+    without it, what takes eight photo pixels.
+    """
+
+    shift_px: Positive = 0.05
+    sigmas: Positive = 6.0
+    light_share: Share = 0.02
+    when_moved: Literal["stop", "warn"] = "stop"
+    when_light_changed: Literal["retake", "stop", "warn"] = "warn"
+    when_liquid_moves: Literal["retake", "stop", "warn"] = "retake"
+    attempts: Annotated[int, Field(ge=1)] = 3
+    still_photos: Annotated[int, Field(ge=1)] = 3
+    longest_wait_s: Positive = 300.0
+    object_px: tuple[tuple[Finite, Finite], ...] = ()
+    marks_px: tuple[tuple[Finite, Finite, Finite, Finite], ...] = ()
+    finest_px: Positive | None = None
+
+    @model_validator(mode="after")
+    def _outline_encloses_something(self) -> Self:
+        if 0 < len(self.object_px) < 3:
+            raise ValueError("object_px needs at least three corners [x, y]; or leave it out")
+        for left, top, right, bottom in self.marks_px:
+            if not (left < right and top < bottom):
+                raise ValueError(
+                    f"marks_px holds {[left, top, right, bottom]}; give first column, first row, last column, last row"
+                )
+        return self

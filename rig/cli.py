@@ -69,6 +69,7 @@ def capture(
     seed: options.SeedOption = None,
     scan: options.ScanOption = False,
     live: options.LiveOption = False,
+    watch: options.WatchOption = False,
     state: options.StateOption = None,
     real_time: options.RealTimeOption = False,
     pause_after: Annotated[
@@ -89,7 +90,7 @@ def capture(
     if sim and sim_wire:
         raise ConfigError("--sim and --sim-wire are two ways to rehearse; leave out one of them")
     sim = sim or sim_wire
-    changes = SceneOptions(profile, width_px, step_px, order, size, display_columns, seed, scan, live)
+    changes = SceneOptions(profile, width_px, step_px, order, size, display_columns, seed, scan, live, watch)
     if resume:
         if config is not None or scene is not None or changes != SceneOptions():
             raise ConfigError(
@@ -159,12 +160,13 @@ def plan(
     size: options.SizeOption = None,
     display_columns: options.DisplayOption = None,
     scan: options.ScanOption = False,
+    watch: options.WatchOption = False,
 ) -> None:
     """Say what a capture will do and cost.
 
     Every move, fill and sweep in order, then photos, time, liquid and disk space together.
     """
-    changes = SceneOptions(profile, width_px, step_px, order, size, display_columns, scan=scan)
+    changes = SceneOptions(profile, width_px, step_px, order, size, display_columns, scan=scan, watch=watch)
     rig = choose_rig(sim or scene is not None, config, scene, changes)
     print_plan(plan_capture(rig.config), rig.config, console)
 

@@ -28,7 +28,7 @@ from recon.manifest import (
     ScannedObject,
     StripePattern,
 )
-from rig.capture_sections import Live, Scan
+from rig.capture_sections import Live, Scan, Watch
 from rig.errors import ConfigError
 
 NotNegative = Annotated[float, Field(ge=0, allow_inf_nan=False)]
@@ -217,6 +217,7 @@ class RigConfig(Part):
     timing: Timing
     frame_tag: FrameTag | None = None
     live: Live | None = None
+    watch: Watch | None = None
     devices: DeviceAddresses = DeviceAddresses()
 
     @model_validator(mode="after")

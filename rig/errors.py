@@ -12,6 +12,7 @@
     │   ├── WrongFrameError  a photo shows another frame than was commanded, or its tag cannot be read
     │   ├── InterlockError   something must not be done as things stand (rig.interlocks)
     │   ├── LevelUnknownError nobody knows what the tank holds
+    │   ├── SceneMovedError  camera, object, display, light or liquid did not stay as they were
     │   └── DiskLowError     there is no room for the next photo
     ├── LedgerError          what is known of the liquid cannot be read
     └── CaptureStopped       the operator asked to stop; the session is whole and can be resumed
@@ -48,6 +49,10 @@ class NotStoppedError(CaptureError):
 
 class WrongFrameError(CaptureError):
     """A photo shows another frame than was commanded, or its frame tag cannot be read."""
+
+
+class SceneMovedError(CaptureError):
+    """Camera, object, display, light or liquid did not stay as they were."""
 
 
 class DiskLowError(CaptureError):

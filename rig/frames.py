@@ -1,5 +1,7 @@
 """From a planned photo to what the display gets: drive levels, computed by ``recon``'s patterns."""
 
+from functools import lru_cache
+
 import numpy as np
 
 from drivers.protocols import Frame, Patch
@@ -7,11 +9,16 @@ from recon.coarse_scan import scan_levels, scan_name
 from recon.frame_tag import LARGEST_NUMBER, tag_levels
 from recon.manifest import Axis
 from recon.patterns import stripe_frame
+from recon.reference_frame import reference_levels
+from recon.scene_check import REFERENCE
+from recon.scene_error import photo_scale_mm
 from rig.config import RigConfig
 from rig.steps import TakePhoto
 
 LEVELS = {"white": 255, "black": 0}
 SCANNED: dict[str, Axis] = {scan_name("x"): "x", scan_name("y"): "y"}
+# The finest detail of the reference frame in photo pixels: fine enough to measure by, coarse enough for any lens.
+FINEST_PHOTO_PX = 8.0
 
 
 def frame_of(photo: TakePhoto, config: RigConfig) -> Frame:
@@ -24,9 +31,31 @@ def frame_of(photo: TakePhoto, config: RigConfig) -> Frame:
     if scanned is not None:
         bits = scan_levels(config.pattern(scanned), photo.index, device_px=config.device_px(scanned))
         return Frame(axis=scanned, levels=bits, patches=patches)
+    if photo.sweep == REFERENCE:
+        size = (config.display.columns, config.display.rows)
+        return Frame(image=_reference_image(*size, reference_finest_px(config)), patches=patches)
     axis: Axis = "x" if photo.sweep == "x" else "y"
     pattern_frame = stripe_frame(config.pattern(axis), axis, photo.index, device_px=config.device_px(axis))
     return Frame(axis=axis, levels=pattern_frame.levels, patches=patches)
+
+
+def reference_finest_px(config: RigConfig) -> float:
+    """Return the finest detail of the reference frame in device pixels.
+
+    It is configured, or follows from the camera's distance and focal length; for a camera that was not calibrated the
+    display is taken to fill the photo.
+    """
+    if config.watch is not None and config.watch.finest_px is not None:
+        return config.watch.finest_px
+    scales_mm = [photo_scale_mm(config.camera, pose) for pose in config.display_poses]
+    if scales_mm[0] is None or scales_mm[1] is None:
+        return FINEST_PHOTO_PX * config.display.columns / config.camera.columns
+    return FINEST_PHOTO_PX * max(scales_mm[0], scales_mm[1]) / config.display.pitch_mm
+
+
+@lru_cache(maxsize=1)
+def _reference_image(columns: int, rows: int, finest_px: float) -> np.ndarray:
+    return reference_levels(columns=columns, rows=rows, finest_px=finest_px)
 
 
 def tag_number(frame_id: int) -> int:

@@ -68,6 +68,12 @@ LiveOption = Annotated[
     ),
 ]
 SeedOption = Annotated[int | None, typer.Option("--seed", min=0, help="Seed of the simulated noise.")]
+WatchOption = Annotated[
+    bool,
+    typer.Option(
+        "--watch", help="Watch that the simulated scene stays as it was: printed marks in it, reference photos."
+    ),
+]
 StateOption = Annotated[
     Path | None,
     typer.Option(

@@ -132,6 +132,15 @@ class PhotoTaker:
             check_exposure(files, self._freeze.settings, name=name)
             return files, self._tag_check.check(photo, files)
 
+    def snap(self, photo: TakePhoto) -> tuple[Photo, ...]:
+        """Take one photo and keep it out of the session; a spoiled one ends it as the camera's own fault."""
+        self._guard.check("photo")
+        try:
+            files, _ = self._taken(photo, None)
+        except SpoiledPhotoError as spoiled:
+            raise spoiled.fault from None
+        return files
+
     def _discard_uncollected(self) -> None:
         """Take from the camera what an earlier attempt left in it, so that it is not taken for the next photo."""
         if not self._uncollected:

@@ -12,7 +12,9 @@ from recon.coarse_scan import scan_name
 from recon.journal import SweepRange
 from recon.manifest import Axis
 from recon.patterns import places_px
+from recon.scene_check import REFERENCE
 from rig.config import RigConfig, Tank, longest_run_s
+from rig.reference_plan import with_references
 from rig.steps import (
     AskOperator,
     DrainTank,
@@ -75,6 +77,11 @@ def _is_seen(photo: TakePhoto, ranges: Mapping[tuple[str, str], SweepRange]) -> 
     return found is None or found.first_index <= photo.index <= found.last_index
 
 
+def reference_photo(config: RigConfig) -> TakePhoto:
+    """Return the photo of the reference frame, whose number follows those of all others; its set is filled in by the plan."""
+    return TakePhoto("", REFERENCE, 0, None, frame_id=len(all_photos(config)))
+
+
 def plan_capture(
     config: RigConfig,
     *,
@@ -133,6 +140,8 @@ def plan_capture(
         steps += to_judge
     if config.tank is not None and config.tank.drain_at_end and config.tank.has_pump and tank_ml > 0:
         steps.append(DrainTank(tank_ml, 0.0, longest_run_s(tank_ml, config.tank)))
+    if config.watch is not None:
+        steps = with_references(steps, done=done, photo=reference_photo(config))
     return tuple(steps)
 
 

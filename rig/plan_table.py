@@ -5,6 +5,7 @@ from collections.abc import Iterator, Sequence
 from rich.console import Console
 from rich.table import Table
 
+from recon.scene_check import REFERENCE
 from rig.config import RigConfig
 from rig.plan import summarise
 from rig.steps import StartSweep, Step, TakePhoto, step_duration_s, step_text
@@ -17,10 +18,11 @@ def rows_of(plan: Sequence[Step], config: RigConfig) -> Iterator[tuple[str, int,
     for step in plan:
         if isinstance(step, TakePhoto):
             single = step.sweep not in ("x", "y")
-            if single and text != f"{singles} of {step.set_name}":
+            title = f"{'reference' if step.sweep == REFERENCE else singles} of {step.set_name}"
+            if single and text != title:
                 if text:
                     yield text, photos, duration_s
-                text, photos, duration_s = f"{singles} of {step.set_name}", 0, 0.0
+                text, photos, duration_s = title, 0, 0.0
             photos += 1
             duration_s += step_duration_s(step, config)
             continue

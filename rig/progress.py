@@ -47,6 +47,10 @@ class CaptureProgress:
         """Say what happens now."""
         self._progress.update(self._task, description=text)
 
+    def say(self, text: str) -> None:
+        """Leave a sentence on the screen, above the bar."""
+        self._progress.console.print(text, markup=False)
+
     def advance(self, planned_s: float) -> None:
         """Count a step as done."""
         self._advanced_s += planned_s

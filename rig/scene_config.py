@@ -6,6 +6,9 @@ What a scene does not say, because light does not care, is said here once: how f
 from dataclasses import dataclass
 from typing import Literal
 
+import cv2
+import numpy as np
+
 from recon.manifest import (
     CameraBody,
     CoverGlass,
@@ -17,6 +20,8 @@ from recon.manifest import (
 )
 from rig.config import RigConfig, parse_config
 from rig.errors import ConfigError
+from sim_backend.light_paths import pixel_centre_paths
+from sim_backend.marks import marks_seen_px, with_marks
 from sim_backend.optics.screen import ScreenPose
 from sim_backend.scene import Scene, SceneError, load_scene
 
@@ -33,6 +38,8 @@ TIMING = {
 }
 # Measured: 54 MB for 520 noisy photos of 1024 × 1024 that are mostly dark (grey JPEG, quality 95).
 PHOTO_BYTES_PER_PIXEL = 0.1
+# The object's outline is traced in a photo of this width: an edge that is a pixel or two off belongs to no part anyway.
+OUTLINE_COLUMNS = 160
 
 
 @dataclass(frozen=True, slots=True)
@@ -48,6 +55,7 @@ class SceneOptions:
     seed: int | None = None
     scan: bool = False
     live: bool = False
+    watch: bool = False
 
 
 def open_scene(name_or_path: str, options: SceneOptions) -> Scene:
@@ -62,6 +70,8 @@ def open_scene(name_or_path: str, options: SceneOptions) -> Scene:
         raise ConfigError(
             f"scene {name_or_path!r} is not a text file; give a name from `rig scenes`, or a TOML file"
         ) from None
+    if options.watch and scene.marks is None:
+        scene = with_marks(scene)
     return scene if options.seed is None else scene.model_copy(update={"seed": options.seed})
 
 
@@ -97,6 +107,7 @@ def config_of_scene(scene: Scene, options: SceneOptions) -> RigConfig:
                 "scan": {} if options.scan else None,
             },
             "live": _live(scene) if options.live else None,
+            "watch": watch_of_scene(scene) if options.watch else None,
             "tank": _tank(scene) if _is_wet(scene) else None,
             "stage": {
                 "position_0_mm": scene.stage_positions_mm[0],
@@ -116,6 +127,22 @@ def _live(scene: Scene) -> dict[str, object]:
         return {}
     nearer_mm = min(abs(place_mm - scene.liquid_level_mm) for place_mm in scene.stage_positions_mm)
     return {"object_distance_mm": nearer_mm}
+
+
+def watch_of_scene(scene: Scene) -> dict[str, object]:
+    """Return the section [watch]: where the object and the marks are in the photos of ``scene``."""
+    camera = scene.camera
+    small = scene.resized(camera_columns=min(camera.columns, OUTLINE_COLUMNS))
+    paths = pixel_centre_paths(small, small.world(wet=False))
+    row, column = np.nonzero((paths.touched_object() | paths.trapped).reshape(small.camera.rows, small.camera.columns))
+    scale = camera.columns / small.camera.columns
+    outline: list[tuple[float, float]] = []
+    if row.size:
+        corners = np.column_stack([column, row]).astype(np.float32)
+        outline = [
+            ((float(x) + 0.5) * scale - 0.5, (float(y) + 0.5) * scale - 0.5) for x, y in cv2.convexHull(corners)[:, 0]
+        ]
+    return {"object_px": outline if len(outline) > 2 else [], "marks_px": marks_seen_px(scene)}
 
 
 def _is_wet(scene: Scene) -> bool:

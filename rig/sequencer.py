@@ -8,17 +8,20 @@ from collections.abc import Sequence
 from itertools import zip_longest
 
 from drivers.errors import DeviceError
+from drivers.protocols import Photo
 from recon.errors import SessionError
 from recon.session import SessionWriter
 from rig.causes import part_of_rig
 from rig.config import RigConfig
 from rig.devices import Devices
-from rig.errors import CaptureError, NotStoppedError
+from rig.errors import CaptureError, NotStoppedError, SceneMovedError
 from rig.guard import Guard
-from rig.known import Known
+from rig.known import Known, SweepKey
 from rig.live_capture import LiveCapture
 from rig.photo_taker import PhotoTaker
+from rig.plan import reference_photo
 from rig.progress import CaptureProgress
+from rig.scene_watch import SceneWatch
 from rig.stage_moves import StageMoves
 from rig.steps import (
     AskOperator,
@@ -72,6 +75,8 @@ class Sequencer:
         self.stage = StageMoves(devices, writer.journal, config, guard=guard)
         self.tank = TankKeeper(devices, writer.journal, config, guard=guard)
         self.photos = PhotoTaker(devices, writer, config, stage=self.stage, guard=guard, wait=self._wait)
+        watch = config.watch
+        self._watch = SceneWatch(watch, config, writer, clock=devices.clock) if watch else None
         self.object_present: bool | None = None
 
     def run(self, plan: Sequence[Step]) -> None:
@@ -132,6 +137,7 @@ class Sequencer:
                 self._pump(step)
             case WaitUntilStill():
                 self._wait(step.duration_s)
+                self._await_stillness(step.reason)
             case AskOperator():
                 self._ask(step)
             case StartSweep():
@@ -140,11 +146,43 @@ class Sequencer:
                 self.photos.take(step, following if isinstance(following, TakePhoto) else None)
                 if self._live is not None:
                     self._live.photo_saved(step, following)
+                self._look_at_scene(step)
             case FindSweptRange():
                 find_swept_range(step.set_name, self._writer, self._config, self._known)
                 raise PlanAgain
             case JudgeSet():
                 self._judge(step)
+
+    def _await_stillness(self, reason: str) -> None:
+        """Wait on until the picture is still, where the scene is watched."""
+        if self._watch is None:
+            return
+
+        def snap() -> tuple[Photo, ...]:
+            self._stop.check()
+            return self.photos.snap(reference_photo(self._config))
+
+        self._watch.wait_until_still(reason, snap=snap, tell=self._progress.tell)
+
+    def _look_at_scene(self, photo: TakePhoto) -> None:
+        """Answer what a reference photo shows; a sweep that it makes void is planned again when the picture is still."""
+        if self._watch is None:
+            return
+        outcome, void = self._watch.photo_saved(photo)
+        if outcome.response == "stop":
+            raise SceneMovedError(outcome.text)
+        if outcome.text:
+            self._progress.say(outcome.text)
+        if outcome.response == "retake":
+            if void is not None:
+                self._void(void)
+            self._await_stillness("the liquid was not still")
+            raise PlanAgain
+
+    def _void(self, sweep: SweepKey) -> None:
+        """Forget the photos of a sweep that are to be taken again."""
+        self._known.void(sweep)
+        self.photos.taken -= {key for key in self.photos.taken if key[:2] == sweep}
 
     def _pump(self, step: FillTank | DrainTank) -> None:
         def on_poll(moved_ml: float) -> None:
@@ -176,8 +214,7 @@ class Sequencer:
         verdicts = self._live.judge_set(step.set_name, on_poll=self._stop.check)
         self._known.judged |= {(step.set_name, axis) for axis in verdicts.good}
         for axis in verdicts.void:
-            self._known.void((step.set_name, axis))
-            self.photos.taken -= {key for key in self.photos.taken if key[:2] == (step.set_name, axis)}
+            self._void((step.set_name, axis))
         if verdicts.fault:
             raise CaptureError(verdicts.fault)
         if verdicts.void:
