@@ -7,7 +7,7 @@ world writes: one line a release, on its way before the program can die.
 import hashlib
 import json
 from collections import Counter
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -75,11 +75,21 @@ class ShutterLog:
 
 
 class Judge:
-    """Holds a session against the one that nobody disturbed. ``frames`` numbers the planned photos."""
+    """Holds a session against the one that nobody disturbed.
 
-    def __init__(self, expected: Mapping[PhotoKey, bytes], frames: Mapping[PhotoKey, int]) -> None:
-        self.expected = expected
+    ``frames`` numbers the planned photos; ``plain`` takes away what no two files of a camera share.
+    """
+
+    def __init__(
+        self,
+        expected: Mapping[PhotoKey, bytes],
+        frames: Mapping[PhotoKey, int],
+        *,
+        plain: Callable[[bytes], bytes] = lambda data: data,
+    ) -> None:
+        self.expected = {key: plain(data) for key, data in expected.items()}
         self._frames = frames
+        self._plain = plain
 
     def releases_of_good(self, folder: Path, log: ShutterLog) -> dict[PhotoKey, int]:
         """Return for each good photo how often the shutter was released for it until now."""
@@ -91,7 +101,11 @@ class Judge:
         good = good_photos(folder)
         releases = log.releases()
         found = [f"{key} is missing" for key in self.expected if key not in good]
-        found += [f"{key} has other bytes" for key, data in self.expected.items() if good.get(key, data) != data]
+        found += [
+            f"{key} has other bytes"
+            for key, data in self.expected.items()
+            if key in good and self._plain(good[key]) != data
+        ]
         for key, count in before.items():
             if releases[str(self._frames[key])] != count:
                 found.append(f"{key} was good after {count} releases, and was shot again")

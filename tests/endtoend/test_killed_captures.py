@@ -3,7 +3,9 @@
 import json
 import subprocess
 import sys
+from collections.abc import Callable
 from pathlib import Path
+from types import ModuleType
 from typing import Any
 
 import pytest
@@ -26,6 +28,15 @@ def test_captures_killed_at_random_instants_resume_to_the_photos_of_an_undisturb
     result = tried("kill_captures", "--sessions", "20", "--seed", "20")
     assert result["sessions"] == 20
     assert result["kills"] > 20  # some were killed while they were resumed
+
+
+@pytest.mark.slow
+def test_a_capture_through_real_drivers_that_is_killed_finds_the_devices_as_it_left_them(
+    require_module: Callable[[str, str], ModuleType],
+) -> None:
+    require_module("gphoto2", "gphoto2")
+    result = tried("kill_wire_captures", "--sessions", "1", "--seed", "3")
+    assert result["kills"] >= 1
 
 
 @pytest.mark.slow
