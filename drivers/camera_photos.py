@@ -142,9 +142,7 @@ class CameraPhotos:
         return tuple(Photo(data, PurePosixPath(name).suffix.lower(), name) for name, data, _size in files)
 
     def _spoiled(self, fault: str) -> DeviceProtocolError:
-        return DeviceProtocolError(
-            f"camera {self._link.address}: a photo asked, {fault}; expose again, or resume the capture"
-        )
+        return DeviceProtocolError(f"camera {self._link.address}: a photo asked, {fault}; expose again")
 
     def _fetched(self, process: CameraProcess, question: Question, *, timeout_s: float) -> tuple[list[CameraFile], int]:
         """Return the files of a photo whose download began with its exposure."""

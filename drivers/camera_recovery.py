@@ -68,5 +68,5 @@ class CameraRecovery:
         self._link.close()
         raise DeviceAlarmError(
             f"camera {self._link.address}: a photo asked, it does not work any more ({fault}); tried: "
-            f"{', '.join(rungs)}. Switch it off and on, or take its battery out for a moment, then resume"
+            f"{', '.join(rungs)}. Switch it off and on, or take its battery out for a moment"
         )

@@ -153,11 +153,11 @@ class StripePlayer:
         if self._mailbox.report() is None:
             return (
                 f"display: no page is connected, so frame {frame_id} was not on the glass after {timeout_s:g} s; "
-                f"open {self._server.address.origin()} with its QR code, check the network, then resume"
+                f"open {self._server.address.origin()} with its QR code, check the network"
             )
         return (
             f"display: the page did not confirm frame {frame_id} within {timeout_s:g} s; wake the tablet, "
-            "turn off its Low Power Mode, or allow more time, then resume"
+            "turn off its Low Power Mode, or allow more time"
         )
 
     def _put_back(self, geometry: PageReport) -> None:

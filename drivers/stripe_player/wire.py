@@ -139,7 +139,7 @@ def check_page(report: PageReport, *, columns: int, rows: int, pixel_ratio: floa
     """Raise ``DeviceError`` when the page is not as it was at the first frame."""
     fault = page_fault(report, columns=columns, rows=rows, pixel_ratio=pixel_ratio)
     if fault is not None:
-        raise DeviceError(f"display: {fault}, then resume")
+        raise DeviceError(f"display: {fault}")
 
 
 def _report(data: dict[str, Any]) -> PageReport:
