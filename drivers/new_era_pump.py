@@ -108,6 +108,7 @@ class NewEraPump:
 
     def __enter__(self) -> "NewEraPump":
         self._port.open()
+        self._run = None  # what ended an earlier conversation was told there
         try:
             # The pump may be as a program that died has left it: in Safe mode, with an alarm, even running.
             alarms = self._link.enter_basic_mode()

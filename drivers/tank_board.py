@@ -92,6 +92,7 @@ class TankBoard:
     def __enter__(self) -> "TankBoard":
         if self._entered == 0:
             self._port.open()
+            self._run = None  # what ended an earlier conversation was told there
             try:
                 self._wait_until_awake()
                 self.stop()

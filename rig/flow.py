@@ -126,9 +126,10 @@ def _watch(
     deadline_s = clock.now_s() + max_run_s + PUMP_EXTRA_S
     awake_s = clock.now_s()
     while (status := pump.status()).running and not status.alarm:
-        on_poll(status.moved_ml)
+        # Asked a moment ago: a computer that was asleep meanwhile must not take its own lateness for the pump's.
         if clock.now_s() > deadline_s:
             raise DeviceTimeoutError(f"pump: still running after {max_run_s:.0f} s; it was told to stop, look at it")
+        on_poll(status.moved_ml)
         pause_s = POLL_S
         if to_ml is not None and devices.level_sensor is not None:
             missing_ml = (to_ml - devices.level_sensor.volume_ml()) * (1 if direction == "fill" else -1)

@@ -223,12 +223,14 @@ class Sequencer:
     def _start_sweep(self, step: StartSweep) -> None:
         with part_of_rig("camera"):
             camera_settings = self._devices.camera.settings()
+        self.tank.check_level()
         self._journal.append(
             "sweep_started",
             set=step.set_name,
             axis=step.axis,
             count=step.count,
             stage_mm=self.stage.check_position_mm(),
+            tank_ml=self.tank.tank_ml,
             camera_settings=camera_settings,
         )
 

@@ -86,6 +86,11 @@ class TankKeeper:
                 f"(the pump counted {moved_ml:.0f} ml); look for a leak, an empty reservoir or a worn tube, then resume"
             )
 
+    def check_level(self) -> None:
+        """Ask the level sensor, where there is one, whether the liquid is still where it was left: hoses siphon."""
+        with part_of_rig("pump"):
+            learn_level(self._devices, self._config)
+
     def moved_by_hand(self, request: Request) -> None:
         """Take down what a person did with the liquid."""
         tank = self._config.tank

@@ -122,6 +122,12 @@ class NewEraEmulator:
 
     # What can happen to a pump
 
+    def break_dead_man(self) -> None:
+        """Let the time-out of Safe mode never come: a fault inside the pump."""
+        with self._lock:
+            self._motor.dead_man_works = False
+            self._motor.turn_on()
+
     def stall(self) -> None:
         """Block the motor: a pump that turns stops with the alarm ``A?S``."""
         with self._lock:

@@ -22,6 +22,8 @@ class Motor:
         What the head has turned in each direction: no liquid needs to have moved.
     alarm, alarm_is_news
         The letter of the alarm that nobody has acknowledged yet, and whether Safe mode has still to announce it.
+    dead_man_works
+        False to let the time-out of Safe mode never come.
     """
 
     def __init__(self, world: World, memory: Memory, *, world_s_per_host_s: float = 1.0) -> None:
@@ -30,6 +32,7 @@ class Motor:
         self._world_s_per_host_s = world_s_per_host_s
         self.alarm = ""
         self.alarm_is_news = False
+        self.dead_man_works = True
         self.power_up()
 
     def power_up(self) -> None:
@@ -110,7 +113,7 @@ class Motor:
             self.raise_alarm("T")
 
     def _silent_at_s(self) -> float:
-        if self._heard_s is None or not self._memory.safe_s:
+        if self._heard_s is None or not self._memory.safe_s or not self.dead_man_works:
             return math.inf
         return self._heard_s + self._memory.safe_s * self._world_s_per_host_s
 

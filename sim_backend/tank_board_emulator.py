@@ -30,6 +30,8 @@ class TankBoardEmulator:
     ----------
     leak_open, full_open
         Set to pull a contact open by hand; liquid that ran over the tank's rim opens the leak contact too.
+    stuck_level
+        Counts that the level sensor reads whatever is in the tank; None while it is well.
     deaf_to, mute_after
         Verbs (``FILL``, ``HB``, ...) of which the next one is lost on its way in, or carried out without a reply.
     """
@@ -46,6 +48,7 @@ class TankBoardEmulator:
     ) -> None:
         self.leak_open = False
         self.full_open = False
+        self.stuck_level: int | None = None
         self.deaf_to: list[str] = []
         self.mute_after: list[str] = []
         self.lines: list[str] = []
@@ -115,6 +118,7 @@ class TankBoardEmulator:
     def _inputs(self) -> Inputs:
         state = self._world.state()
         level = min(round(state.tank_ml * self._counts_per_ml), HIGHEST_COUNT)
+        level = level if self.stuck_level is None else self.stuck_level
         return Inputs(
             self.leak_open or state.overflow_ml > 0, self.full_open or state.tank_ml >= self._full_at_ml, level
         )

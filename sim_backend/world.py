@@ -5,6 +5,7 @@ question first brings the world up to the present of its clock. The simulated de
 therefore agree about the tank, whoever asks and whenever.
 """
 
+import math
 import threading
 from collections.abc import Callable
 from dataclasses import dataclass, replace
@@ -13,6 +14,7 @@ from typing import Any
 from drivers.protocols import Clock, FlowDirection, Frame
 from sim_backend.disturbance import QUIET, Disturbance
 from sim_backend.frame_equality import same_frame
+from sim_backend.liquid_faults import LiquidFaults
 from sim_backend.unrest import Unrest
 
 # Photos know a dry tank and a filled one. The last per cent of the volume raises the level by less than the
@@ -116,6 +118,8 @@ class World:
         self._state = state
         self._on_change = on_change
         self._shown: tuple[Frame, int | None] = (dark_frame, None)
+        self.faults = LiquidFaults()
+        self._siphoned_s = clock.now_s()
         self._lock = threading.RLock()
 
     # Liquid
@@ -131,7 +135,8 @@ class World:
         """Stop the pump where it is; harmless when it stands."""
         with self._lock:
             self._advance()
-            self._change(flow=None)
+            if not self.faults.welded:
+                self._change(flow=None)
 
     def pour_by_hand(self, to_ml: float) -> None:
         """Let a person bring the tank to ``to_ml`` from the reservoir, or back into it."""
@@ -160,14 +165,23 @@ class World:
         self._on_change(self._state)
 
     def _advance(self) -> None:
+        self._siphon()
         flow = self._state.flow
         if flow is None:
             return
         elapsed_s = self.clock.now_s() - flow.started_s
-        turned_ml = flow.rate_ml_per_s * min(elapsed_s, flow.runs_s)
-        self._transfer(flow.direction, turned_ml - self._state.turned_ml)
-        self.unrest.liquid_moved(flow.started_s + min(elapsed_s, flow.runs_s))
-        self._state = replace(self._state, turned_ml=turned_ml, flow=None if elapsed_s >= flow.runs_s else flow)
+        runs_s = math.inf if self.faults.welded else flow.runs_s
+        turned_ml = flow.rate_ml_per_s * min(elapsed_s, runs_s)
+        self._transfer(flow.direction, self.faults.pump_factor * (turned_ml - self._state.turned_ml))
+        self.unrest.liquid_moved(flow.started_s + min(elapsed_s, runs_s))
+        self._state = replace(self._state, turned_ml=turned_ml, flow=None if elapsed_s >= runs_s else flow)
+
+    def _siphon(self) -> None:
+        rate_ml_per_s, since_s = self.faults.siphon_ml_per_s, self._siphoned_s
+        self._siphoned_s = self.clock.now_s()
+        if rate_ml_per_s:
+            direction: FlowDirection = "fill" if rate_ml_per_s > 0 else "drain"
+            self._transfer(direction, abs(rate_ml_per_s) * (self._siphoned_s - since_s))
 
     def _transfer(self, direction: FlowDirection, volume_ml: float) -> None:
         state = self._state

@@ -73,3 +73,36 @@ def test_kill_9_in_mid_fill_stops_the_pump_within_its_dead_man_time_and_the_tank
         assert world.state().tank_ml == tank_ml
     assert 2.0 * DEAD_MAN_S * RATE_ML_PER_S <= killed_ml <= tank_ml
     assert tank_ml - killed_ml <= DEAD_MAN_S * RATE_ML_PER_S + 1e-6
+
+
+@pytest.mark.parametrize(("name", "emulate"), [("new era", NewEraEmulator), ("tank board", tank_board)])
+def test_a_program_that_is_suspended_in_mid_fill_finds_the_pump_off_when_it_wakes_up(
+    name: str, emulate: Callable[[World], Emulator]
+) -> None:
+    """SIGSTOP is what a computer that goes to sleep does to its programs; how long it sleeps is nothing to the pump."""
+    world = dry_world(RealClock())
+    with PtyServer(emulate(world)) as wire:
+        controller = subprocess.Popen(
+            [sys.executable, "-c", CONTROLLER, name, wire.address],
+            cwd=Path(__file__).parents[2],
+            stdout=subprocess.PIPE,
+            text=True,
+        )
+        try:
+            assert controller.stdout is not None
+            assert controller.stdout.readline() == "pumping\n"
+            os.kill(controller.pid, signal.SIGSTOP)
+            stopped_ml = world.state().tank_ml
+            time.sleep(DEAD_MAN_S + 0.2)
+            assert world.flow_direction() is None
+            tank_ml = world.state().tank_ml
+            os.kill(controller.pid, signal.SIGCONT)
+            assert controller.wait(timeout=30.0) == 0  # it sees that the pump stands, and leaves
+        finally:
+            controller.kill()
+            controller.wait()
+            assert controller.stdout is not None
+            controller.stdout.close()
+        assert world.flow_direction() is None
+        assert world.state().tank_ml == tank_ml  # and starts nothing again
+    assert tank_ml - stopped_ml <= DEAD_MAN_S * RATE_ML_PER_S + 1e-6
