@@ -17,7 +17,11 @@ log = logging.getLogger(__name__)
 
 
 class NewEraLink:
-    """The conversation with pump ``pump_number`` on ``port``; in Basic mode until told otherwise."""
+    """The conversation with pump ``pump_number`` on ``port``; in Basic mode until told otherwise.
+
+    ``alarms_acknowledged`` counts the alarms that :meth:`acknowledged` met, ``last_alarm`` is the letter of the last one: the
+    pump forgets an alarm that it has told.
+    """
 
     def __init__(self, port: SerialPort, *, pump_number: int, reply_timeout_s: float) -> None:
         self._port = port
@@ -25,6 +29,7 @@ class NewEraLink:
         self._reply_timeout_s = reply_timeout_s
         self.safe = False
         self.alarms_acknowledged = 0
+        self.last_alarm = ""
 
     def exchange(self, command: str, *, attempts: int = ATTEMPTS) -> Reply:
         """Send ``command`` and return the reply, alarm or not; noise and silence are answered by asking again.
@@ -90,8 +95,12 @@ class NewEraLink:
             if not reply.alarm:
                 return reply
             self.alarms_acknowledged += 1
+            self.last_alarm = reply.alarm
             log.warning("pump: alarm: %s", ALARMS[reply.alarm])
-        raise DeviceAlarmError(f"pump: it keeps ringing: {ALARMS[reply.alarm]}; look at the pump and clear it there")
+        raise self._keeps_ringing(reply.alarm)
+
+    def _keeps_ringing(self, alarm: str) -> DeviceAlarmError:
+        return DeviceAlarmError(f"pump: it keeps ringing: {ALARMS[alarm]}; look at the pump and clear it there")
 
     def ask(self, command: str) -> str:
         """Return the data that ``command`` asks for. Raises ``DeviceProtocolError`` when the pump refuses."""
@@ -105,12 +114,15 @@ class NewEraLink:
             return
         if reply.data == "?OOR" and command.startswith("VOL"):
             raise OutOfVolumeError(f"pump: {command!r} is out of its range; ask for less")
+        unknown = "it does not know this command; check the model"
+        if command.startswith("SAF"):
+            unknown = 'it has no Safe mode; set mode = "basic" in section [pump], and stay beside it while it pumps'
         reason = {
             "?NA": "it says that this is not applicable now; stop it and try again",
             "?OOR": "it says that this is out of range; compare pump_rate_ml_per_min and diameter_mm with its manual",
             "?COM": "the packet did not arrive whole; look for a loose plug or a cable beside a motor",
             "?IGN": "it was busy; try again",
-        }.get(reply.data, "it does not know this command; check the model")
+        }.get(reply.data, unknown)
         raise DeviceProtocolError(f"pump: {command!r} was asked, {reason}")
 
     # Modes
@@ -134,7 +146,8 @@ class NewEraLink:
         while (reply := self._exchange(f"SAF{dead_man_s}", safe=True, attempts=ATTEMPTS)).alarm:
             alarms.append(reply.alarm)
             if len(alarms) >= ALARMS_IN_A_ROW:
-                raise DeviceAlarmError(f"pump: it keeps ringing: {ALARMS[reply.alarm]}; look at the pump")
-        self.refuse_error(f"SAF{dead_man_s}", reply)
+                raise self._keeps_ringing(reply.alarm)
+        if dead_man_s or reply.data != "?":  # a model without Safe mode is in Basic mode already
+            self.refuse_error(f"SAF{dead_man_s}", reply)
         self.safe = dead_man_s > 0
         return tuple(alarms)

@@ -126,8 +126,8 @@ class NewEraPump:
         except DeviceTimeoutError as error:
             self._port.close()
             raise DeviceNotFoundError(
-                f"pump: nothing answers on {self._port.address} ({error}); switch the pump on, and compare baud rate and "
-                "address with those in its own menu"
+                f"pump: nothing answers on {self._port.address}; switch the pump on, and compare baud rate and pump number "
+                "with those in its own menu"
             ) from error
         except BaseException:
             self._port.close()
@@ -225,7 +225,7 @@ class NewEraPump:
         if status.alarm:
             raise DeviceAlarmError(f"pump: stopped at once: {ALARMS[status.alarm]}; look at the pump and the tubing")
         # A small volume may be moved before the question arrives.
-        moved_ml = dispensed_ml(self._link, direction)
+        moved_ml = self._counted_ml(direction)
         if status.prompt != wanted and moved_ml <= 0:
             raise DeviceTimeoutError(
                 f"pump: a {direction} was asked, but the pump says {status.prompt!r} and counts nothing; it was told to "
@@ -250,15 +250,26 @@ class NewEraPump:
         if run.alarm == "R":
             raise DeviceAlarmError(
                 f"pump: its power was interrupted during a {run.direction}, so the volume in the tank is unknown; "
-                "look at the tank, then drain or fill it by hand"
+                "look at the tank, then say what it holds (rig pump level ML)"
             )
-        moved_ml = dispensed_ml(self._link, run.direction)
+        known = run.alarm
+        moved_ml = self._counted_ml(run.direction)
+        if run.alarm != known:  # it rang between the two questions, and what it counts may have begun anew
+            return self.status()
         if prompt in RUNNING_PROMPTS:
             return PumpStatus(True, DIRECTION_OF.get(prompt), moved_ml)
         if not run.over:
             run.over = True
             run.why_early = self._why_early(run, moved_ml)
         return PumpStatus(False, None, moved_ml, run.why_early)
+
+    def _counted_ml(self, direction: FlowDirection) -> float:
+        """Return what the pump counts; an alarm that came instead at first is remembered, since the pump forgets it."""
+        rung = self._link.alarms_acknowledged
+        moved_ml = dispensed_ml(self._link, direction)
+        if self._link.alarms_acknowledged > rung:
+            self._note_alarm(self._link.last_alarm)
+        return moved_ml
 
     def _why_early(self, run: Run, moved_ml: float) -> str:
         if moved_ml >= COMPLETE * run.settings.volume_ml:
@@ -307,7 +318,8 @@ class NewEraPump:
                 if self._dead_man_s
                 else "in Basic mode it goes on until its volume is moved: switch it off at the mains"
             )
-            raise type(error)(f"{error}. The pump did not confirm the stop; if it still turns, {end}") from error
+            cause = str(error).removeprefix("pump: ")
+            raise type(error)(f"pump: it did not confirm the stop; if it still turns, {end}. Cause: {cause}") from error
 
     def _stand_still(self) -> None:
         for _ in range(STOP_ATTEMPTS):
@@ -316,4 +328,4 @@ class NewEraPump:
                 self._note_alarm(reply.alarm)
             elif reply.prompt == "S" and self._quiet_prompt() == "S":
                 return
-        raise DeviceTimeoutError(f"pump: told {STOP_ATTEMPTS} times to stop, it says {reply.prompt!r}")
+        raise DeviceTimeoutError(f"pump: told {STOP_ATTEMPTS} times to stop, it still says {reply.prompt!r}")

@@ -1,6 +1,7 @@
 """What a New Era pump must be told before it may run, and the proof that it took it."""
 
 import math
+import re
 from dataclasses import dataclass
 
 from drivers.errors import DeviceAlarmError, DeviceProtocolError, OutOfVolumeError
@@ -177,9 +178,8 @@ def forbid_restart_after_power_failure(link: NewEraLink) -> None:
 def dispensed_ml(link: NewEraLink, direction: FlowDirection) -> float:
     """Return what the pump's head has turned in one direction since the counters were cleared; turns, not liquid."""
     text = link.ask("DIS")
-    infused, _, rest = text.removeprefix("I").partition("W")
-    withdrawn, units = parse_value(rest)
-    if not text.startswith("I") or units not in ML_PER_UNIT:
-        raise DeviceProtocolError(f"pump: counts {text!r}, which is not in the manual; check the model")
-    number = parse_value(infused)[0] if direction == "fill" else withdrawn
-    return number * ML_PER_UNIT[units]
+    counts = re.fullmatch(r"I([\d.]+)W([\d.]+)(UL|ML)", text)
+    if counts is None:
+        raise DeviceProtocolError(f"pump: its counter says {text!r}, which is not in the manual; check the model")
+    infused, withdrawn, units = counts.groups()
+    return float(infused if direction == "fill" else withdrawn) * ML_PER_UNIT[units]

@@ -111,8 +111,8 @@ class TankBoard:
                 if time.monotonic() < deadline_s:
                     continue
                 raise DeviceNotFoundError(
-                    f"pump: no tank board answers on {self._port.address} ({error}); check the cable, and that the sketch "
-                    "tank_board is on the board"
+                    f"pump: no tank board answers on {self._port.address}; check the cable, and that the sketch tank_board is "
+                    "on the board"
                 ) from error
             break
         if line.identity != IDENTITY:
@@ -214,7 +214,7 @@ class TankBoard:
     def _refused(direction: FlowDirection, run_ms: int, why: str) -> DeviceError:
         if why == "time":
             return OutOfVolumeError(
-                f"pump: a {direction} would take {run_ms / 1000:.0f} s, the board allows half an hour; pump less at a time"
+                f"pump: a {direction} would take {run_ms / 1000:g} s, the board allows half an hour; pump less at a time"
             )
         if why == "full":
             return OutOfVolumeError(f"pump: a fill asked, but {FAULTS['full']}; drain the tank first")
@@ -222,8 +222,9 @@ class TankBoard:
             return DeviceAlarmError(
                 f"pump: a {direction} asked, but {FAULTS['leak']}; wipe it dry and look for the cause"
             )
+        reason = {"busy": "it pumps already", "fault": "it was reset since it was told to stop"}.get(why, why)
         return DeviceProtocolError(
-            f"pump: the board refuses a {direction} ({why}); stop it and try again (rig pump stop)"
+            f"pump: the board refuses a {direction} ({reason}); stop it and try again (rig pump stop)"
         )
 
     def status(self) -> PumpStatus:
@@ -243,7 +244,7 @@ class TankBoard:
         if run.fault == "reset":
             raise DeviceAlarmError(
                 f"pump: {FAULTS['reset']} during a {run.direction}, so the volume in the tank is unknown; look at the tank, "
-                "then drain or fill it by hand"
+                "then say what it holds (rig pump level ML)"
             )
         fault = run.fault if run.fault != "none" else state.fault
         moved_ml = state.ran_ms / 1000 * self._ml_per_s[run.direction]
@@ -268,8 +269,14 @@ class TankBoard:
                 if state.direction is None:
                     return
         except DeviceError as error:
-            raise type(error)(f"{error}. Without heartbeats the board stops the pump within a second") from error
-        raise DeviceTimeoutError(f"pump: told {STOP_ATTEMPTS} times to stop, the board says {state.text!r}")
+            cause = str(error).removeprefix("pump: ")
+            raise type(error)(
+                "pump: it did not confirm the stop; if it still turns, the board stops it within a second, since it gets no "
+                f"heartbeats. Cause: {cause}"
+            ) from error
+        raise DeviceTimeoutError(
+            f"pump: told {STOP_ATTEMPTS} times to stop, the board says {state.text!r}; switch the pump off at the mains"
+        )
 
     # Level
 

@@ -146,7 +146,10 @@ def _watch(
 
 def _refuse_alarm(status: PumpStatus) -> None:
     if status.alarm:
-        raise TankAlarmError(f"pump: alarm {status.alarm!r} after {status.moved_ml:.0f} ml; look at the pump")
+        raise TankAlarmError(
+            f"pump: alarm {status.alarm!r} after {status.moved_ml:.0f} ml; look at tank, hose and pump, then say what the tank "
+            "holds (rig pump level ML)"
+        )
 
 
 def check_level_after(devices: Devices | TankDevices, config: RigConfig, *, moved_ml: float) -> None:

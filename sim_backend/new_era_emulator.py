@@ -39,6 +39,11 @@ class NewEraEmulator:
         Commands (``RUN``, ``STP``, ...) of which the next one is lost on its way in, or carried out without a reply.
     reset_before
         Commands of which the next one finds the pump just back from a power failure.
+    answers
+        Commands with their parameters (``SAF5``, ``RUN``, ``DIS``), each with what the pump says to the next ones and
+        does not do.
+    rings_for_ever
+        The letter of an alarm whose cause stays: it rings again as soon as it is acknowledged.
     rate_step
         Rates are rounded to multiples of this number, in the units they were sent in; 0 keeps them as they are.
     """
@@ -56,6 +61,8 @@ class NewEraEmulator:
         self.deaf_to: list[str] = []
         self.mute_after: list[str] = []
         self.reset_before: list[str] = []
+        self.answers: dict[str, list[str]] = {}
+        self.rings_for_ever = ""
         self.rate_step = 0.0
         self.commands: list[str] = []
         self._world = world
@@ -106,8 +113,12 @@ class NewEraEmulator:
         if self._motor.alarm:
             reply = self._reply("")
             self._motor.acknowledge()
+        elif forced := self.answers.get(name + argument):
+            reply = self._reply(forced.pop(0))
         else:
             reply = self._reply(self._execute(name, argument))
+        if self.rings_for_ever:
+            self.ring(self.rings_for_ever)
         if name in self.mute_after:
             self.mute_after.remove(name)
             return b""
@@ -133,8 +144,13 @@ class NewEraEmulator:
         with self._lock:
             self._motor.advance()
             if self._motor.turning():
-                self._motor.halt("S")
-                self._motor.raise_alarm("S")
+                self.ring("S")
+
+    def ring(self, kind: str) -> None:
+        """Stop with an alarm: ``S`` stalled, ``E`` or ``O`` an error in the pumping program."""
+        with self._lock:
+            self._motor.halt("S")
+            self._motor.raise_alarm(kind)
 
     def power_cycle(self) -> None:
         """Take the power away and bring it back; only :class:`Memory` survives."""

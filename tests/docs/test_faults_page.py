@@ -8,7 +8,7 @@ import sys
 import pytest
 from faults_page import PAGE, REPOSITORY, WILDCARD, read_faults
 
-from drivers import grbl_protocol, zaber_protocol
+from drivers import grbl_protocol, new_era_wire, tank_board_line, zaber_protocol
 
 FAULTS = read_faults()
 FILES = sorted({file for fault in FAULTS for file in fault.files})
@@ -17,7 +17,10 @@ TABLES = {
     "GRBL's alarms": grbl_protocol.ALARMS,
     "GRBL's refusals": {**grbl_protocol.ERRORS, **grbl_protocol.STANDSTILLS},
     "Zaber's flags": zaber_protocol.FAULTS,
+    "Zaber's concerns": zaber_protocol.CONCERNS,
     "Zaber's rejections": zaber_protocol.REJECTIONS,
+    "New Era's alarms": new_era_wire.ALARMS,
+    "the tank board's faults": tank_board_line.FAULTS,
 }
 
 

@@ -6,6 +6,7 @@ from contextlib import contextmanager
 from dataclasses import dataclass
 
 import pytest
+from faults_page import OperatorReads
 from pump_bench import dry_world
 
 from drivers.errors import (
@@ -18,6 +19,7 @@ from drivers.errors import (
 )
 from drivers.new_era_pump import NewEraPump
 from drivers.new_era_settings import settings_for
+from drivers.new_era_wire import ALARMS
 from sim_backend.clock import SimulatedClock
 from sim_backend.new_era_emulator import NewEraEmulator
 from sim_backend.new_era_memory import Memory, Phase
@@ -93,10 +95,12 @@ def test_the_volume_is_sent_in_the_units_that_the_pump_says_it_counts_in(
 
 
 @pytest.mark.parametrize("volume_ml", [1e-7, 4e-7, 20000.0])
-def test_a_volume_that_four_digits_cannot_hold_is_refused_and_nothing_is_sent(bench: Bench, volume_ml: float) -> None:
+def test_a_volume_that_four_digits_cannot_hold_is_refused_and_nothing_is_sent(
+    operator_reads: OperatorReads, bench: Bench, volume_ml: float
+) -> None:
     with bench.driver() as pump:
         before = len(bench.emulator.commands)
-        with pytest.raises(OutOfVolumeError, match="four digits"):
+        with operator_reads.raised(OutOfVolumeError):
             pump.start("fill", volume_ml=volume_ml, max_run_s=1e6)
         assert not any(command.startswith(("VOL", "RUN")) for command in bench.emulator.commands[before:])
 
@@ -114,26 +118,28 @@ def test_a_rate_is_sent_in_units_that_carry_it(rate_ml_per_min: float, text: str
     assert settings.rate + settings.rate_units == text
 
 
-def test_a_rate_that_four_digits_round_to_nothing_is_refused() -> None:
-    with pytest.raises(OutOfVolumeError, match="four digits"):
+def test_a_rate_that_four_digits_round_to_nothing_is_refused(operator_reads: OperatorReads) -> None:
+    with operator_reads.raised(OutOfVolumeError):
         settings_for("fill", volume_ml=1.0, max_run_s=1e9, rate_ml_per_min=1e-9, diameter_mm=20.0)
 
 
 # What the pump makes of it
 
 
-def test_a_rate_that_the_pump_rounds_is_noticed_and_nothing_flows(bench: Bench) -> None:
+def test_a_rate_that_the_pump_rounds_is_noticed_and_nothing_flows(operator_reads: OperatorReads, bench: Bench) -> None:
     bench.emulator.rate_step = 1000.0  # 600 becomes 1000, 400 becomes 0
     for rate_ml_per_min in (600.0, 400.0):
         with bench.driver(rate_ml_per_min=rate_ml_per_min) as pump:
-            with pytest.raises(DeviceProtocolError, match="nothing was started"):
+            with operator_reads.raised(DeviceProtocolError):
                 pump.start("fill", volume_ml=300.0, max_run_s=60.0)
             bench.world.clock.sleep_s(60.0)
     assert bench.world.state().tank_ml == 0.0
 
 
-def test_a_rate_beyond_the_pump_is_refused_by_the_pump_and_the_sentence_says_what_to_compare(bench: Bench) -> None:
-    with bench.driver(rate_ml_per_min=3000.0) as pump, pytest.raises(DeviceProtocolError, match="pump_rate_ml_per_min"):
+def test_a_rate_beyond_the_pump_is_refused_by_the_pump_and_the_sentence_says_what_to_compare(
+    operator_reads: OperatorReads, bench: Bench
+) -> None:
+    with bench.driver(rate_ml_per_min=3000.0) as pump, operator_reads.raised(DeviceProtocolError):
         pump.start("fill", volume_ml=300.0, max_run_s=60.0)
 
 
@@ -152,15 +158,17 @@ def test_a_pump_that_would_start_by_itself_after_a_power_failure_is_cured_first(
 
 
 @pytest.mark.parametrize("dead_man_s", [0, 256])
-def test_a_dead_man_time_that_the_pump_does_not_know_is_refused(bench: Bench, dead_man_s: int) -> None:
-    with pytest.raises(DeviceProtocolError, match="1 to 255 s"):
+def test_a_dead_man_time_that_the_pump_does_not_know_is_refused(
+    operator_reads: OperatorReads, bench: Bench, dead_man_s: int
+) -> None:
+    with operator_reads.raised(DeviceProtocolError):
         bench.driver(dead_man_s=dead_man_s)
 
 
 # The dead-man timer
 
 
-def test_the_pump_stops_itself_when_nobody_asks_for_its_status(bench: Bench) -> None:
+def test_the_pump_stops_itself_when_nobody_asks_for_its_status(operator_reads: OperatorReads, bench: Bench) -> None:
     with bench.driver(dead_man_s=5) as pump:
         pump.start("fill", volume_ml=300.0, max_run_s=60.0)
         bench.watch(pump, 4.0)
@@ -169,7 +177,7 @@ def test_the_pump_stops_itself_when_nobody_asks_for_its_status(bench: Bench) -> 
         status = pump.status()
         assert not status.running
         assert status.moved_ml == pytest.approx(90.0)
-        assert status.alarm == "nobody asked for its status for 5 s, so it stopped itself (dead-man timer)"
+        operator_reads(status.alarm)
         assert pump.status().alarm == status.alarm
 
 
@@ -186,14 +194,16 @@ def test_a_silence_after_the_flow_is_no_alarm_and_the_pump_does_not_ring(bench: 
         assert bench.world.state().tank_ml == pytest.approx(0.0, abs=1e-9)
 
 
-def test_a_pump_left_in_safe_mode_with_an_alarm_is_brought_back(bench: Bench, caplog: pytest.LogCaptureFixture) -> None:
+def test_a_pump_left_in_safe_mode_with_an_alarm_is_brought_back(
+    operator_reads: OperatorReads, bench: Bench, caplog: pytest.LogCaptureFixture
+) -> None:
     with bench.driver() as pump:
         pump.start("fill", volume_ml=300.0, max_run_s=60.0)
         pump._port.close()  # the program dies: nobody stops, nobody leaves Safe mode
         bench.world.clock.sleep_s(600.0)
     assert bench.emulator.memory.safe_s == 5
     with bench.driver() as pump:
-        assert "look at the tank before a fill" in caplog.text
+        operator_reads(next(record.getMessage() for record in caplog.records if "tank" in record.getMessage()))
         assert not pump.status().running
         pump.start("drain", volume_ml=50.0, max_run_s=60.0)
         bench.watch(pump, 6.0)
@@ -262,17 +272,28 @@ def test_an_alarm_before_the_start_swallows_nothing_that_matters(bench: Bench, h
         assert bench.world.state().tank_ml - before_ml == pytest.approx(70.0)
 
 
-def test_power_that_fails_in_mid_fill_leaves_the_volume_unknown(bench: Bench) -> None:
+def test_power_that_fails_in_mid_fill_leaves_the_volume_unknown(operator_reads: OperatorReads, bench: Bench) -> None:
     with bench.driver() as pump:
         pump.start("fill", volume_ml=300.0, max_run_s=60.0)
         bench.watch(pump, 2.0)
         bench.emulator.power_cycle()
-        with pytest.raises(DeviceAlarmError, match=r"power was interrupted during a fill.* unknown; look at the tank"):
+        with operator_reads.raised(DeviceAlarmError):
             pump.status()
         pump.stop()
-        with pytest.raises(DeviceAlarmError, match="unknown"):
+        with operator_reads.raised(DeviceAlarmError):
             pump.status()
     assert bench.world.state().tank_ml == pytest.approx(20.0)
+
+
+def test_power_that_fails_between_two_questions_leaves_the_volume_unknown_as_well(
+    bench: Bench, operator_reads: OperatorReads
+) -> None:
+    with bench.driver() as pump:
+        pump.start("fill", volume_ml=300.0, max_run_s=60.0)
+        bench.watch(pump, 2.0)
+        bench.emulator.reset_before.append("DIS")  # it runs when it is asked for its status, and not for its counter
+        with operator_reads.raised(DeviceAlarmError):
+            pump.status()
 
 
 def test_the_stop_key_of_the_pump_is_an_end_with_a_reason(bench: Bench) -> None:
@@ -295,19 +316,19 @@ def test_a_lost_reply_to_run_is_made_up_by_asking_and_never_by_running_twice(ben
         assert bench.world.state().tank_ml == pytest.approx(100.0)
 
 
-def test_a_run_that_never_arrived_is_an_error_and_not_a_fill(bench: Bench) -> None:
+def test_a_run_that_never_arrived_is_an_error_and_not_a_fill(operator_reads: OperatorReads, bench: Bench) -> None:
     bench.emulator.deaf_to.append("RUN")
     with bench.driver() as pump:
-        with pytest.raises(DeviceTimeoutError, match="counts nothing"):
+        with operator_reads.raised(DeviceTimeoutError):
             pump.start("fill", volume_ml=100.0, max_run_s=60.0)
         bench.world.clock.sleep_s(60.0)
         assert bench.world.state().tank_ml == 0.0
 
 
-def test_an_alarm_in_answer_to_run_is_an_error_and_nothing_flows(bench: Bench) -> None:
+def test_an_alarm_in_answer_to_run_is_an_error_and_nothing_flows(operator_reads: OperatorReads, bench: Bench) -> None:
     bench.emulator.reset_before.append("RUN")
     with bench.driver() as pump:
-        with pytest.raises(DeviceAlarmError, match="rang instead of starting: it was reset"):
+        with operator_reads.raised(DeviceAlarmError):
             pump.start("fill", volume_ml=100.0, max_run_s=60.0)
         bench.world.clock.sleep_s(60.0)
         assert bench.world.state().tank_ml == 0.0
@@ -324,6 +345,88 @@ def test_an_alarm_at_any_command_before_run_swallows_nothing_for_good(bench: Ben
         pump.start("fill", volume_ml=100.0, max_run_s=60.0)
         bench.watch(pump, 20.0)
         assert bench.world.state().tank_ml == pytest.approx(100.0)
+
+
+@pytest.mark.parametrize("answer", ["?", "?NA", "?OOR", "?COM", "?IGN"])
+def test_a_command_that_the_pump_refuses_is_said_with_its_reason(
+    bench: Bench, operator_reads: OperatorReads, answer: str
+) -> None:
+    with bench.driver() as pump:
+        bench.emulator.answers["RUN"] = [answer]
+        with operator_reads.raised(DeviceProtocolError):
+            pump.start("fill", volume_ml=100.0, max_run_s=60.0)
+        bench.world.clock.sleep_s(60.0)
+        assert bench.world.state().tank_ml == 0.0
+
+
+def test_a_volume_beyond_the_pump_is_refused_by_the_pump(bench: Bench, operator_reads: OperatorReads) -> None:
+    with bench.driver() as pump:
+        bench.emulator.answers["VOL300.0"] = ["?OOR"]
+        with operator_reads.raised(OutOfVolumeError):
+            pump.start("fill", volume_ml=300.0, max_run_s=60.0)
+
+
+def test_a_pump_without_safe_mode_pumps_in_basic_mode_alone(bench: Bench, operator_reads: OperatorReads) -> None:
+    bench.emulator.answers = {"SAF0": ["?"] * 9, "SAF5": ["?"]}
+    with bench.driver() as pump, operator_reads.raised(DeviceProtocolError):
+        pump.start("fill", volume_ml=100.0, max_run_s=60.0)
+    with bench.driver(mode="basic") as pump:
+        pump.start("fill", volume_ml=100.0, max_run_s=60.0)
+        bench.watch(pump, 11.0)
+    assert bench.world.state().tank_ml == pytest.approx(100.0)
+
+
+def test_a_dead_man_time_that_reads_back_otherwise_starts_nothing(bench: Bench, operator_reads: OperatorReads) -> None:
+    with bench.driver() as pump:
+        bench.emulator.answers["SAF"] = ["50"]
+        with operator_reads.raised(DeviceProtocolError):
+            pump.start("fill", volume_ml=100.0, max_run_s=60.0)
+        assert "RUN" not in bench.emulator.commands
+
+
+@pytest.mark.parametrize(
+    ("answers", "memory"),
+    [
+        pytest.param({"PF": ["1"] * 2}, Memory(power_fail_restart=True), id="restart"),
+        pytest.param({"FUN": ["RAT"] * 2}, Memory(phases={1: Phase(), 2: Phase(rate=60.0)}), id="program"),
+        pytest.param({"DIS": ["I12.00W0.000ML"]}, Memory(), id="counter"),
+        pytest.param({"DIS": ["a lot"]}, Memory(), id="count"),
+        pytest.param({"RAT": ["fast"]}, Memory(), id="number"),
+    ],
+)
+def test_a_pump_that_does_not_take_what_it_is_told_starts_nothing(
+    operator_reads: OperatorReads, answers: dict[str, list[str]], memory: Memory
+) -> None:
+    with bench_with(memory) as bench, bench.driver() as pump:
+        bench.emulator.answers = answers
+        with operator_reads.raised(DeviceProtocolError):
+            pump.start("fill", volume_ml=100.0, max_run_s=60.0)
+        assert "RUN" not in bench.emulator.commands
+
+
+@pytest.mark.parametrize("alarm", ALARMS)
+def test_an_alarm_that_does_not_end_is_said(bench: Bench, operator_reads: OperatorReads, alarm: str) -> None:
+    with bench.driver() as pump:
+        bench.emulator.rings_for_ever = alarm
+        bench.emulator.ring(alarm)
+        with operator_reads.raised(DeviceAlarmError):
+            pump.start("fill", volume_ml=100.0, max_run_s=60.0)
+        bench.emulator.rings_for_ever = ""
+    assert bench.world.state().tank_ml == 0.0
+
+
+def test_a_pump_of_another_number_on_the_same_wire_is_named(bench: Bench, operator_reads: OperatorReads) -> None:
+    original = bench.wire.faults.to_host
+    bench.wire.faults.to_host = lambda data: original(data.replace(b"\x0200", b"\x0203"))
+    with operator_reads.raised(DeviceProtocolError):
+        bench.driver().__enter__()
+
+
+def test_another_make_of_pump_is_refused(bench: Bench, operator_reads: OperatorReads) -> None:
+    original = bench.wire.faults.to_host
+    bench.wire.faults.to_host = lambda data: original(data.replace(b"\x0200S", b"\x0200OK"))
+    with operator_reads.raised(DeviceProtocolError):
+        bench.driver().__enter__()
 
 
 @pytest.mark.parametrize("command", ["STP", "DIS", "VOL300.0", "SAF"])
@@ -349,57 +452,61 @@ def test_noise_on_the_line_is_passed_over(bench: Bench) -> None:
         assert pump.status().running
 
 
-def test_a_pump_that_falls_silent_is_named_with_what_ends_the_flow(bench: Bench) -> None:
+def test_a_pump_that_falls_silent_is_named_with_what_ends_the_flow(operator_reads: OperatorReads, bench: Bench) -> None:
     with bench.driver() as pump:
         pump.start("fill", volume_ml=300.0, max_run_s=60.0)
         bench.wire.faults.silent = bench.wire.faults.deaf = True
-        with pytest.raises(DeviceTimeoutError, match="nothing came"):
+        with operator_reads.raised(DeviceTimeoutError):
             pump.status()
-        with pytest.raises(DeviceTimeoutError, match="stops by itself within 5 s"):
+        with operator_reads.raised(DeviceTimeoutError):
             pump.stop()
         bench.world.clock.sleep_s(60.0)
         assert bench.world.state().tank_ml == pytest.approx(50.0)
         bench.wire.faults.silent = bench.wire.faults.deaf = False
 
 
-def test_in_basic_mode_the_sentence_sends_the_operator_to_the_mains(bench: Bench) -> None:
+def test_in_basic_mode_the_sentence_sends_the_operator_to_the_mains(
+    operator_reads: OperatorReads, bench: Bench
+) -> None:
     with bench.driver(mode="basic") as pump:
         pump.start("fill", volume_ml=300.0, max_run_s=60.0)
         bench.wire.faults.silent = bench.wire.faults.deaf = True
-        with pytest.raises(DeviceTimeoutError, match="switch it off at the mains"):
+        with operator_reads.raised(DeviceTimeoutError):
             pump.stop()
         bench.wire.faults.silent = bench.wire.faults.deaf = False
 
 
-def test_a_cable_that_is_pulled_in_mid_fill_is_named_and_the_pump_stops_itself(bench: Bench) -> None:
+def test_a_cable_that_is_pulled_in_mid_fill_is_named_and_the_pump_stops_itself(
+    operator_reads: OperatorReads, bench: Bench
+) -> None:
     with bench.driver() as pump:
         pump.start("fill", volume_ml=300.0, max_run_s=60.0)
         bench.wire.vanish()
         bench.world.clock.sleep_s(600.0)
-        with pytest.raises(DeviceNotFoundError, match="vanished"):
+        with operator_reads.raised(DeviceNotFoundError):
             pump.status()
-        with pytest.raises(DeviceNotFoundError, match="stops by itself within 5 s"):
+        with operator_reads.raised(DeviceNotFoundError):
             pump.stop()
         pump._port.close()
     assert bench.world.state().tank_ml == pytest.approx(50.0)
 
 
-def test_a_port_where_nothing_answers_is_named_with_what_to_check(bench: Bench) -> None:
+def test_a_port_where_nothing_answers_is_named_with_what_to_check(operator_reads: OperatorReads, bench: Bench) -> None:
     bench.wire.faults.silent = True
-    with pytest.raises(DeviceNotFoundError, match=r"nothing answers on .*; switch the pump on, and compare baud rate"):
+    with operator_reads.raised(DeviceNotFoundError):
         bench.driver().__enter__()
 
 
-def test_a_device_that_is_no_pump_is_refused(bench: Bench) -> None:
+def test_a_device_that_is_no_pump_is_refused(operator_reads: OperatorReads, bench: Bench) -> None:
     bench.emulator.version = "Grbl 1.1h"
-    with pytest.raises(DeviceProtocolError, match="knows New Era pumps"):
+    with operator_reads.raised(DeviceProtocolError):
         bench.driver().__enter__()
 
 
-def test_a_second_start_is_refused_with_what_to_do(bench: Bench) -> None:
+def test_a_second_start_is_refused_with_what_to_do(operator_reads: OperatorReads, bench: Bench) -> None:
     with bench.driver() as pump:
         pump.start("fill", volume_ml=300.0, max_run_s=60.0)
-        with pytest.raises(DeviceBusyError, match="infusing; stop it first"):
+        with operator_reads.raised(DeviceBusyError):
             pump.start("fill", volume_ml=300.0, max_run_s=60.0)
 
 
