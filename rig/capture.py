@@ -73,7 +73,8 @@ def capture(
         The operator asked to stop; the message says how to go on.
     """
     with ExitStack() as stack:
-        note = "[yellow]stopping after this photo; press Ctrl-C again to stop at once[/yellow]"
+        what = "pausing" if person is not None else "stopping"
+        note = f"[yellow]{what} after this photo; press Ctrl-C again to stop at once[/yellow]"
         stop = stack.enter_context(StopRequest(lambda: console.print(note), pause_after=pause_after))
         known = Known()
         if resume:

@@ -24,7 +24,7 @@ def config_file(folder: Path, text: str) -> Path:
 
 def test_the_template_is_a_configuration_that_can_be_planned(tmp_path: Path) -> None:
     config = load_config(config_file(tmp_path, TEMPLATE))
-    # 400 … 1600 in steps of 4 are 301 columns, 300 … 1200 are 226 rows; white and black; four sets; and 4 + 3 · 3 reference photos
+    # 400 … 1600 in steps of 4 are 301 columns, 300 … 1200 are 226 rows; white, black; four sets; 4 + 3 · 3 reference photos
     assert summarise(plan_capture(config), config).photos == 4 * (301 + 226 + 2) + 4 + 3 * 3
 
 
