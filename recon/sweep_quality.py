@@ -58,8 +58,8 @@ def sweep_quality(result: SweepResult, *, set_name: str, axis: str) -> SweepQual
 
 
 def _dark_gap(brightest: np.ndarray) -> int:
-    """Return the longest run of dark photos between two lit ones; half-way between dimmest and brightest photo is dark."""
-    bright = np.flatnonzero(brightest > (brightest.min() + brightest.max()) / 2)
+    """Return the longest run of dark photos between two lit ones; dark is below a quarter of the brightest photo."""
+    bright = np.flatnonzero(brightest > brightest.max() / 4)
     return int(np.diff(bright).max() - 1) if len(bright) > 1 else 0
 
 

@@ -40,7 +40,9 @@ class LiveCapture:
         self._writer = writer
         self._console = console
         self._attempts: Counter[tuple[str, str]] = Counter()
+        self._judged: set[tuple[str, str]] = set()
         self._last_photo_s = time.monotonic()
+        self._ready_s: float | None = None
         self._stack = ExitStack()
         self.status = LiveStatus(config, progress)
         self._page = StatusPage(self.status.as_json, port=limits.page_port)
@@ -74,7 +76,8 @@ class LiveCapture:
             self._quality.verdicts[key] for key in ((set_name, "x"), (set_name, "y")) if key in self._quality.verdicts
         ]
         for verdict in found:
-            self._record(verdict)
+            if (set_name, verdict.quality.axis) not in self._judged:
+                self._record(verdict)
         return SetVerdict(
             good=tuple(verdict.quality.axis for verdict in found if not verdict.reasons),
             void=tuple(verdict.quality.axis for verdict in found if verdict.reasons),
@@ -84,6 +87,8 @@ class LiveCapture:
     def finish(self, *, on_poll: Callable[[], None]) -> None:
         """Say what the four sets come to, and how long after the last photo every sweep was decoded."""
         self._quality.wait(on_poll=on_poll)
+        if self._ready_s is not None:
+            self._tell(f"the last sweep was decoded {self._ready_s:.1f} s after the last photo")
         if len(self._quality.verdicts) == 2 * len(self._writer.manifest.sets):
             self._quality.ask_for_entry_points()
             self._quality.wait(on_poll=on_poll)
@@ -94,10 +99,11 @@ class LiveCapture:
             self._attempts[one.set, one.axis] += 1
             self._writer.reject_sweep(one.set, one.axis, reason="; ".join(verdict.reasons))
             return
+        self._judged.add((one.set, one.axis))
         numbers = {name: finite(value) if isinstance(value, float) else value for name, value in asdict(one).items()}
-        ready_s = round(time.monotonic() - self._last_photo_s, 1)
+        self._ready_s = round(time.monotonic() - self._last_photo_s, 1)
         self._writer.journal.append(
-            "sweep_judged", **numbers, entry_sd_mm=finite(verdict.entry_sd_mm), after_last_photo_s=ready_s
+            "sweep_judged", **numbers, entry_sd_mm=finite(verdict.entry_sd_mm), after_last_photo_s=self._ready_s
         )
 
     def _fault(self, verdict: SweepVerdict) -> str:

@@ -94,3 +94,9 @@ def test_photos_without_a_stripe_count_only_between_photos_with_one() -> None:
     counts = (9, 9, 9, 200, 180, 8, 9, 200, 12, 9, 7, 210, 9, 9)
     one = result([[PixelStatus.OK]], shares=(0.0,) * len(counts), curves=(), brightest=counts)
     assert sweep_quality(one, set_name="pos0_air", axis="x").dark_gap == 3
+
+
+def test_a_sweep_whose_photos_are_all_lit_has_no_gap_however_they_vary() -> None:
+    counts = (120, 230, 180, 210, 150, 240)
+    one = result([[PixelStatus.OK]], shares=(0.0,) * len(counts), curves=(), brightest=counts)
+    assert sweep_quality(one, set_name="pos0_air", axis="x").dark_gap == 0
