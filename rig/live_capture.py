@@ -47,7 +47,7 @@ class LiveCapture:
         self.status = LiveStatus(config, progress)
         self._page = StatusPage(self.status.as_json, port=limits.page_port)
         self._decoder = LiveDecoder(writer.folder)
-        self._quality = LiveQuality(self._decoder, limits, writer.manifest, on_news=self._tell)
+        self._quality = LiveQuality(self._decoder, limits, writer.manifest, on_verdict=self._show, on_news=self._tell)
         self.status.quality = self._quality
 
     def photo_saved(self, photo: TakePhoto, following: Step | None) -> None:
@@ -117,6 +117,9 @@ class LiveCapture:
             f"sweep {one.set} {one.axis} was photographed {times} and is not good enough: {'; '.join(verdict.reasons)}; "
             "mend that and resume, and the sweep is taken again"
         )
+
+    def _show(self, verdict: SweepVerdict) -> None:
+        self._console.print(verdict.text(), markup=False)
 
     def _tell(self, line: str) -> None:
         self.status.add(line)

@@ -46,46 +46,53 @@ def judge(quality: SweepQuality, limits: Live, manifest: Manifest) -> SweepVerdi
 
 def _reasons(quality: SweepQuality, limits: Live, entry_sd_mm: float) -> list[str]:
     if quality.lit_pixels == 0:
-        return ["no pixel saw the stripe; look at the display, the lens cap and the exposure"]
+        return ["no pixel saw the stripe (look at the display, the lens cap and the exposure)"]
     reasons = []
     if quality.coverage < limits.least_coverage:
         reasons.append(
-            f"{share_text(quality.coverage)} of the lit pixels are matched, {share_text(limits.least_coverage)} asked; "
-            "did something move or flicker?"
+            f"{share_text(quality.coverage)} of the lit pixels are matched, {share_text(limits.least_coverage)} asked "
+            "(did something move or flicker?)"
         )
     if quality.saturated_share > limits.largest_saturated_share:
         reasons.append(
             f"{share_text(quality.saturated_share)} of the lit pixels are clipped, at most "
-            f"{share_text(limits.largest_saturated_share)} asked; shorten the exposure"
+            f"{share_text(limits.largest_saturated_share)} asked (shorten the exposure)"
         )
     if quality.contrast < limits.least_contrast:
         reasons.append(
-            f"the contrast is {number_text(quality.contrast)}, {limits.least_contrast:g} asked; darken the room"
+            f"the contrast is {number_text(quality.contrast)}, {limits.least_contrast:g} asked (darken the room)"
         )
     if quality.misfit > limits.largest_misfit:
         reasons.append(
-            f"the curves miss the stripe's by {number_text(quality.misfit)}, at most {limits.largest_misfit:g} asked; "
-            "did something move?"
+            f"the curves miss the stripe's by {number_text(quality.misfit)}, at most {limits.largest_misfit:g} asked "
+            "(did something move?)"
         )
     if quality.dark_gap > limits.largest_dark_share * quality.photos:
-        reasons.append(f"{quality.dark_gap} photos in a row show no stripe; did the display go dark?")
+        reasons.append(f"{quality.dark_gap} photos in a row show no stripe (did the display go dark?)")
     if limits.largest_entry_sd_mm is not None and entry_sd_mm > limits.largest_entry_sd_mm:
         reasons.append(
-            f"entry points are expected to {number_text(entry_sd_mm)} mm, {limits.largest_entry_sd_mm:g} mm asked; "
-            "more light or smaller steps help"
+            f"entry points are expected to {number_text(entry_sd_mm)} mm, {limits.largest_entry_sd_mm:g} mm asked "
+            "(more light or smaller steps help)"
         )
     return reasons
 
 
 class LiveQuality:
-    """Asks for a verdict on each sweep as soon as its last photo is saved. ``on_news`` gets every line as it comes."""
+    """Asks for a verdict on each sweep as soon as its last photo is saved; ``on_news`` gets what else there is to say."""
 
     def __init__(
-        self, decoder: LiveDecoder, limits: Live, manifest: Manifest, *, on_news: Callable[[str], None]
+        self,
+        decoder: LiveDecoder,
+        limits: Live,
+        manifest: Manifest,
+        *,
+        on_verdict: Callable[[SweepVerdict], None],
+        on_news: Callable[[str], None],
     ) -> None:
         self._decoder = decoder
         self._limits = limits
         self._manifest = manifest
+        self._on_verdict = on_verdict
         self._on_news = on_news
         self._asked: set[tuple[str, str]] = set()
         self._lost = False
@@ -128,7 +135,7 @@ class LiveQuality:
             else:
                 verdict = judge(SweepQuality(**answer["quality"]), self._limits, self._manifest)
                 self.verdicts[answer["set"], answer["axis"]] = verdict
-                self._on_news(verdict.text())
+                self._on_verdict(verdict)
         if self._decoder.failure and not self._lost:
             self._lost = True
             self._asked.clear()

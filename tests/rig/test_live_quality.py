@@ -19,7 +19,7 @@ from recon.sweep_quality import SweepQuality
 from rig.capture_sections import Live
 from rig.errors import CaptureError
 from rig.live_decoder import LiveDecoder
-from rig.live_quality import LiveQuality, judge
+from rig.live_quality import LiveQuality, SweepVerdict, judge
 from rig.live_status import LiveStatus
 from rig.progress import CaptureProgress
 from rig.session_manifest import manifest_of
@@ -76,8 +76,9 @@ def test_the_expected_error_is_a_limit_only_where_the_distance_is_known(manifest
 
 def test_sweeps_are_decoded_in_another_process_and_kept_for_the_reconstruction(session: Path, manifest) -> None:
     news: list[str] = []
+    seen: list[SweepVerdict] = []
     with LiveDecoder(session) as decoder:
-        quality = LiveQuality(decoder, Live(), manifest, on_news=news.append)
+        quality = LiveQuality(decoder, Live(), manifest, on_verdict=seen.append, on_news=news.append)
         for capture_set in manifest.sets:
             for axis in ("x", "y"):
                 quality.sweep_taken(capture_set.name, axis)
@@ -95,7 +96,8 @@ def test_sweeps_are_decoded_in_another_process_and_kept_for_the_reconstruction(s
         for one in opened.manifest.sets
         for sweep in one.sweeps
     )
-    assert len(news) == 9
+    assert len(seen) == 8
+    assert len(news) == 1
 
 
 def test_a_sweep_that_cannot_be_decoded_is_told_in_one_sentence_and_the_next_has_its_turn(
@@ -103,8 +105,9 @@ def test_a_sweep_that_cannot_be_decoded_is_told_in_one_sentence_and_the_next_has
 ) -> None:
     (session / "photos/pos0_air/x/0003.jpg").write_bytes(b"\xff\xd8 no photo")
     news: list[str] = []
+    seen: list[SweepVerdict] = []
     with LiveDecoder(session) as decoder:
-        quality = LiveQuality(decoder, Live(), manifest, on_news=news.append)
+        quality = LiveQuality(decoder, Live(), manifest, on_verdict=seen.append, on_news=news.append)
         quality.sweep_taken("pos0_air", "x")
         quality.sweep_taken("pos0_air", "y")
         quality.wait(on_poll=lambda: None)
@@ -115,8 +118,9 @@ def test_a_sweep_that_cannot_be_decoded_is_told_in_one_sentence_and_the_next_has
 
 def test_the_capture_goes_on_when_the_decoding_process_is_killed(session: Path, manifest) -> None:
     news: list[str] = []
+    seen: list[SweepVerdict] = []
     with LiveDecoder(session) as decoder:
-        quality = LiveQuality(decoder, Live(), manifest, on_news=news.append)
+        quality = LiveQuality(decoder, Live(), manifest, on_verdict=seen.append, on_news=news.append)
         quality.sweep_taken("pos0_air", "x")
         os.kill(decoder.process_id, signal.SIGKILL)
         quality.wait(on_poll=lambda: None)
@@ -132,7 +136,7 @@ def test_waiting_for_a_verdict_can_be_interrupted_and_the_process_ends_with_us(s
         raise KeyboardInterrupt
 
     with LiveDecoder(session) as decoder:
-        quality = LiveQuality(decoder, Live(), manifest, on_news=lambda _: None)
+        quality = LiveQuality(decoder, Live(), manifest, on_verdict=print, on_news=print)
         quality.sweep_taken("pos0_air", "x")
         with pytest.raises(KeyboardInterrupt):
             quality.wait(on_poll=interrupt)
