@@ -152,7 +152,7 @@ class SessionWriter:
             write_whole(folder / MANIFEST_NAME, (manifest.model_dump_json(indent=2) + "\n").encode(), disk=disk)
             return cls(folder, manifest, journal, disk=disk)
         except OSError as error:
-            raise SessionError(f"{folder}: cannot be written ({error.strerror})") from error
+            raise SessionError(write_fault(folder, error)) from error
 
     @classmethod
     def reopen(cls, folder: Path, *, disk: Disk | None = None) -> "SessionWriter":

@@ -83,11 +83,20 @@ class Standstill:
             with self._stop.at_once():
                 clock.sleep_s(self._pause_s)
             self.keep_awake()
-            if self._is_gone(cause):
+            if self._is_gone(cause) and self._told_the_journal(cause, suspended_s=clock.now_s() - self._since[1]):
                 break
         self._pause_s = min(2 * self._pause_s, LONGEST_PROBE_S)
-        self._writer_says("went_on", cause=cause.name, suspended_s=round(clock.now_s() - self._since[1], 1))
         self._console.print("going on", markup=False)
+
+    def _told_the_journal(self, cause: Cause, *, suspended_s: float) -> bool:
+        """Write that the capture goes on; a disk that has no room for that line has none for a photo."""
+        try:
+            self._writer_says("went_on", cause=cause.name, suspended_s=round(suspended_s, 1))
+        except SessionError:
+            if cause.part != "disk":
+                raise
+            return False
+        return True
 
     def _tell(self, text: str) -> None:
         """Say a thing once, not at every attempt."""
