@@ -42,10 +42,10 @@ class Unrest:
         with self._lock:
             self._ripples = ripples
 
-    def renew_noise(self) -> None:
-        """Give every photo from now on noise of its own, as a camera does."""
+    def renew_noise(self, *, first: int = 1) -> None:
+        """Give every photo from now on noise of its own, as a camera does; ``first`` numbers the first of them."""
         with self._lock:
-            self._exposures = 0
+            self._exposures = first - 1
 
     def liquid_moved(self, at_s: float) -> None:
         """Take down that liquid flowed until ``at_s``."""
