@@ -78,6 +78,28 @@ class PhotoQuality(Part):
     saturated_share: float
 
 
+class ScenePart(Part):
+    """How one part of the picture changed between two reference photos."""
+
+    name: Literal["marks", "display", "object"]
+    shift_px: float
+    sd_px: float
+    spread_px: float
+    light: float
+    light_sd: float
+
+
+class SceneComparison(Part):
+    """A reference photo beside the first one of its set or, ``across_sets``, the session's. ``error_mm``: see outputs.md."""
+
+    set: str
+    index: int
+    across_sets: bool
+    parts: tuple[ScenePart, ...]
+    findings: tuple[str, ...]
+    error_mm: float | None
+
+
 class Metrics(Part):
     """All that ``metrics.json`` holds."""
 
@@ -96,6 +118,8 @@ class Metrics(Part):
     stages: tuple[StageTime, ...]
     curves: tuple[SampleCurve, ...] = ()
     photos: tuple[PhotoQuality, ...] = ()
+    scene: tuple[SceneComparison, ...] = ()
+    scene_note: str = ""
 
 
 def save_metrics(metrics: Metrics, path: Path) -> None:

@@ -28,6 +28,7 @@ from recon.photos import read_grey
 from recon.progress import progress_bar
 from recon.reconstruct import Crossing, Limits, cross_paths, maps_of
 from recon.report.writer import write_report
+from recon.scene_stage import SceneStage, scene_stage
 from recon.session import MANIFEST_NAME, Session, open_session
 from recon.stage_timer import StageTimer
 from recon.status import PixelStatus
@@ -75,7 +76,9 @@ def run_session(session_folder: Path, out: Path, settings: Settings) -> Metrics:
         outcome = reconstruct(session, sweeps, settings)
     with timer.stage("write maps, cloud and mesh"):
         write_arrays(out, outcome)
-    metrics = _metrics(session, sweeps, outcome, settings, timer)
+    with timer.stage("compare the reference photos"):
+        scene = scene_stage(session, outcome.maps)
+    metrics = _metrics(session, sweeps, outcome, settings, timer, scene)
     save_metrics(metrics, out / METRICS_NAME)
     with timer.stage("report"):
         mesh = outcome.mesh
@@ -217,6 +220,7 @@ def _metrics(
     outcome: Outcome,
     settings: Settings,
     timer: StageTimer,
+    scene: SceneStage,
 ) -> Metrics:
     maps, manifest = outcome.maps, session.manifest
     lit = ~np.stack([one.status == PixelStatus.UNLIT for one in sweeps.values()]).all(axis=0)
@@ -234,17 +238,19 @@ def _metrics(
         session=manifest.name,
         method=settings.method,
         length_unit=manifest.length_unit,
-        verdict=verdict(funnel, maps, gap_ratio=outcome.gap_ratio, photos=photos),
+        verdict=verdict(funnel, maps, gap_ratio=outcome.gap_ratio, photos=photos, scene=scene.warnings),
         funnel=funnel,
         status_counts={one.name: int((maps.status == one).sum()) for one in PixelStatus},
         statistics=outcome.statistics,
         parameters=_parameters(settings, sweeps, outcome.gap_ratio),
-        warnings=outcome.warnings,
+        warnings=(*scene.warnings, *outcome.warnings),
         versions=_versions(),
         hashes=_hashes(session),
         stages=timer.stages(),
         curves=_chosen_curves(sweeps, maps),
         photos=photos,
+        scene=scene.comparisons,
+        scene_note=scene.note,
     )
 
 

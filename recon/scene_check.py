@@ -62,7 +62,7 @@ class SceneChecker:
         """Measure what changed between any two photos of the reference frame."""
         noise = self._noise or self._noise_of(first, second)
         masks = self._masks if only is None else {only: self._masks[only]}
-        clipped = saturation_count(first)
+        clipped = float(saturation_count(first))
         return scene_change(first.astype(np.float32), second.astype(np.float32), masks, noise, clipped=clipped)
 
     def is_still(self, first: Counts, second: Counts) -> bool:

@@ -16,8 +16,19 @@ SATURATED_SHARE = 0.01
 CHECK_GAP_RATIO = 2.0
 
 
-def verdict(funnel: Funnel, maps: Maps, *, gap_ratio: float | None, photos: tuple[PhotoQuality, ...]) -> Verdict:
-    """Grade a result. ``gap_ratio`` is the median of |gap| over what noise predicts; None where no noise is known."""
+def verdict(
+    funnel: Funnel,
+    maps: Maps,
+    *,
+    gap_ratio: float | None,
+    photos: tuple[PhotoQuality, ...],
+    scene: tuple[str, ...] = (),
+) -> Verdict:
+    """Grade a result.
+
+    ``gap_ratio`` is the median of |gap| over what noise predicts, None where no noise is known; ``scene`` is what the
+    reference photos say did not stay as it was.
+    """
     if funnel.entry_points < FEWEST_POINTS or funnel.entry_points < FAIL_SHARE * max(funnel.matched, 1):
         return Verdict(
             grade="fail",
@@ -49,6 +60,10 @@ def verdict(funnel: Funnel, maps: Maps, *, gap_ratio: float | None, photos: tupl
     if saturated > 0:
         reasons.append(f"{saturated:.0%} of the photos are clipped over more than {SATURATED_SHARE:.0%} of their area.")
         action = "Shorten the exposure: a clipped stripe has lost its peak."
+    if scene:
+        more = f" (and {len(scene) - 1} more)" if len(scene) > 1 else ""
+        reasons.append(f"{scene[0].removesuffix('.')}{more}.")
+        action = "Look at the section Capture for what moved and what it costs; photograph the object again."
     if reasons:
         return Verdict(grade="check", reasons=tuple(reasons), next_action=action)
     fine = f"{funnel.entry_points} points; {funnel.entry_points / max(matched, 1):.1%} of the pixels matched on the object."

@@ -89,7 +89,11 @@ def new_world(
     # A thin object needs no liquid: a tank that is never filled stays dry.
     size = TankSize(tank.free_volume_ml, tank.fill_ml) if tank else TankSize(1.0, 1.0)
     dark = Frame(axis="x", levels=np.zeros(config.display.columns, dtype=np.uint8))
-    return World(clock=clock, tank=size, dark_frame=dark, state=state, on_change=on_change)
+    world = World(clock=clock, tank=size, dark_frame=dark, state=state, on_change=on_change)
+    if config.watch is not None:
+        # Photos of the same frame are compared with each other: without noise of their own they would be one file twice.
+        world.unrest.renew_noise()
+    return world
 
 
 def fresh_state(config: RigConfig) -> WorldState:

@@ -5,9 +5,9 @@ from itertools import groupby
 
 import numpy as np
 
-from recon.metrics import Metrics, PhotoQuality, SampleCurve
+from recon.metrics import Metrics, PhotoQuality, SampleCurve, SceneComparison
 from recon.report.charts import Scale, area_path, line_path, round_up
-from recon.report.numbers import Real, number
+from recon.report.numbers import NOTHING, LengthUnit, Real, number
 from recon.report.panel import Panel, Section, Table
 
 CURVES_SHOWN = 24
@@ -142,6 +142,69 @@ def photos_panel(photos: Sequence[PhotoQuality]) -> Panel:
     )
 
 
-def capture_section(metrics: Metrics) -> Section:
+def scene_panel(comparisons: Sequence[SceneComparison], note: str, unit: LengthUnit) -> Panel:
+    """Return what the reference photos say: one row a comparison."""
+    rows = tuple(
+        (
+            comparison.set,
+            str(comparison.index),
+            "first of the session" if comparison.across_sets else "first of its set",
+            *(_shift_text(comparison, name) for name in ("marks", "display", "object")),
+            _light_text(comparison),
+            number(comparison.error_mm, 2),
+            "; ".join(comparison.findings) or "as it was",
+        )
+        for comparison in comparisons
+    )
+    headings = (
+        "Set",
+        "Photo",
+        "Compared with the",
+        "Marks, px",
+        "Display, px",
+        "Through the object, px",
+        "Light, %",
+        f"Entry points, {unit.label}",
+        "What happened",
+    )
+    table = Table(headings, rows, (1, 3, 4, 5, 6, 7))
+    what = (
+        "Reference photos show the same frame each. For the parts of the picture: how far they moved since the photo compared "
+        "with (± sd; behind the slash how differently their blocks moved), the change of light, and how far off entry points "
+        "may be for what was found: lever × shift / sin of the angle between the paths, median of this object's points."
+    )
+    return Panel(
+        "scene",
+        "Did the scene stay as it was?",
+        "tables.html.j2",
+        {"tables": (table,)},
+        f"{what} {note[:1].upper()}{note[1:]}{'.' if note else ''}",
+        "“As it was” in every row, shifts of a few hundredths of a pixel at most.",
+        "Anything named in the last column: camera, object or display moved, the liquid was not still, the light changed.",
+        missing=""
+        if rows
+        else f"Whether camera, object, display and light stayed as they were {note or 'is not in the metrics'}.",
+    )
+
+
+def _shift_text(comparison: SceneComparison, name: str) -> str:
+    part = next((part for part in comparison.parts if part.name == name), None)
+    if part is None:
+        return NOTHING
+    spread = f" / {part.spread_px:.3f}" if part.spread_px > 0 else ""
+    return f"{part.shift_px:.3f} ± {part.sd_px:.3f}{spread}"
+
+
+def _light_text(comparison: SceneComparison) -> str:
+    part = next((part for part in comparison.parts if part.name == "display"), None)
+    return NOTHING if part is None else f"{100 * part.light:+.2f} ± {100 * part.light_sd:.2f}".replace("-", "−")
+
+
+def capture_section(metrics: Metrics, *, unit: LengthUnit) -> Section:
     """Return the section about the photos."""
-    return Section("capture", "Capture", (curves_panel(metrics.curves), photos_panel(metrics.photos)))
+    panels = (
+        scene_panel(metrics.scene, metrics.scene_note, unit),
+        curves_panel(metrics.curves),
+        photos_panel(metrics.photos),
+    )
+    return Section("capture", "Capture", panels)

@@ -73,7 +73,7 @@ def write_report(
         result_section(metrics, unit=unit, thin=manifest.method == "thin", evaluation=evaluation),
     )
     after = (
-        capture_section(metrics),
+        capture_section(metrics, unit=unit),
         setup_section(manifest, maps, unit=unit),
         run_section(metrics, manifest),
         methods_section(manifest, metrics, unit=unit),
