@@ -1,8 +1,9 @@
 """Kill captures that drive real drivers, and resume them: ``python -m tests.bench.kill_wire_captures`` prints JSON.
 
 Stage and pump are emulated on pseudo terminals and the camera on PTP/IP, all in another process than the capture, which is ended
-by SIGKILL at a random instant: they go on as devices on a bench do, the pump until its dead-man timer ends it. Only the
-display and the person at the tank are simulated, over a socket. Time passes ``SPEED`` times as fast as in a lab.
+by SIGKILL at a random instant: they go on as devices on a bench do, the pump until its dead-man timer ends it. Every third time
+the whole bench loses its power with the capture: pump, stage and camera begin anew, as after a reboot of everything. Only
+the display and the person at the tank are simulated, over a socket. Time passes ``SPEED`` times as fast as in a lab.
 """
 
 import argparse
@@ -15,7 +16,7 @@ import threading
 import time
 import traceback
 from collections import Counter
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from contextlib import ExitStack, contextmanager
 from dataclasses import dataclass
 from multiprocessing.connection import Client, Connection, Listener, Pipe
@@ -55,6 +56,7 @@ SPEED = 10.0
 PUMP_RATE_ML_PER_MIN = 9000.0
 DEAD_MAN_S = 1
 LONGEST_GONE_S = 3.0
+POWER_CUT_SHARE = 1 / 3
 # An exposure that the killed capture had begun ends without it.
 LAST_EXPOSURE_S = 0.3
 
@@ -195,6 +197,8 @@ class Rehearsal:
     world: World
     log: ShutterLog
     captures: Connection
+    lose_power: Callable[[], None]
+    power_cuts: int = 0
 
     @property
     def session(self) -> Path:
@@ -230,16 +234,23 @@ def rehearsal(folder: Path, photographer: Photographer, captures: Connection) ->
     watched.look = logged
     with ExitStack() as stack:
         camera = stack.enter_context(emulate_camera(WorldPhotos(world, photographer)))
-        stage = stack.enter_context(PtyServer(GrblEmulator(world, travel_mm=config.stage.travel_mm)))
-        emulator = NewEraEmulator(world, max_rate_ml_per_min=PUMP_RATE_ML_PER_MIN, world_s_per_host_s=SPEED)
-        pump = stack.enter_context(PtyServer(emulator))
+        stage_emulator = GrblEmulator(world, travel_mm=config.stage.travel_mm)
+        pump_emulator = NewEraEmulator(world, max_rate_ml_per_min=PUMP_RATE_ML_PER_MIN, world_s_per_host_s=SPEED)
+        stage, pump = (stack.enter_context(PtyServer(one)) for one in (stage_emulator, pump_emulator))
         listener = stack.enter_context(Listener(family="AF_UNIX"))
         threading.Thread(target=serve_surroundings, args=(listener, world), daemon=True).start()
         addresses = DeviceAddresses(
             camera=f"gphoto2:{camera.address}", stage=f"grbl:{stage.address}", pump=f"new_era:{pump.address}"
         )
         order = Order(config.model_copy(update={"devices": addresses}), scene, folder, str(listener.address))
-        yield Rehearsal(order, world, log, captures)
+
+        def lose_power() -> None:
+            pump_emulator.power_cycle()
+            stage_emulator.power_cycle()
+            camera.pull_cable()
+            camera.replace()
+
+        yield Rehearsal(order, world, log, captures, lose_power)
 
 
 def without_number(data: bytes) -> bytes:
@@ -259,6 +270,9 @@ def run_session(
         if rig.run(killed_after_s=rng.uniform(0, whole_s * left)) != -signal.SIGKILL:
             continue
         kills += 1
+        if rng.random() < POWER_CUT_SHARE:
+            rig.lose_power()
+            rig.power_cuts += 1
         time.sleep(LAST_EXPOSURE_S)
         lines = journal_lines(rig.session)
         died_in[lines[-1]["event"] if lines else "nothing written"] += 1
@@ -292,7 +306,7 @@ def main() -> None:
     rng = random.Random(given.seed)
     died_in: Counter[str] = Counter()
     faults: dict[int, list[str]] = {}
-    sessions = in_vain = 0
+    sessions = in_vain = power_cuts = 0
     config, scene = quick_rig()
     photographer = Photographer(scene)
     with TemporaryDirectory(prefix="killed-wire-") as folder:
@@ -312,6 +326,7 @@ def main() -> None:
                 if found is not None:
                     sessions += 1
                     in_vain += judge.shot_in_vain(rig.log)
+                    power_cuts += rig.power_cuts
                 if found:
                     faults[number] = found
     captures.close()
@@ -319,6 +334,7 @@ def main() -> None:
     result = {
         "sessions": sessions,
         "kills": died_in.total(),
+        "kills_with_a_power_cut_of_the_bench": power_cuts,
         "seconds_of_an_undisturbed_capture": round(whole_s, 1),
         "photos_a_session": len(judge.expected),
         "photos_in_doubt_shot_again": in_vain,
