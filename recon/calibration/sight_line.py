@@ -1,0 +1,73 @@
+"""From a direction in which the camera looks to the place of the screen that it sees: the exact path.
+
+Light is followed from the camera: straight in air, bent at the liquid's surface (a plane), bent again at the cover glass
+(a sheet parallel to the pixels), to the plane of the pixels. Snell's law in vector form keeps the tangential part of n·d
+(Born and Wolf, *Principles of Optics*, 3.2.2).
+"""
+
+from dataclasses import dataclass
+
+import numpy as np
+from jaxtyping import Float64
+
+Vectors = Float64[np.ndarray, "rays 3"]
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class PanelPose:
+    """Where the plane of the display's pixels stands in the camera's frame.
+
+    ``rotation``'s columns are the screen's x (right), y (down) and z (into the screen) axes; ``centre_mm`` the panel's centre.
+    """
+
+    rotation: Float64[np.ndarray, "3 3"]
+    centre_mm: Float64[np.ndarray, " 3"]
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class LiquidPlane:
+    """The liquid's flat surface: points X with ``down`` · X = ``distance_mm``; ``down`` points into the liquid, length 1."""
+
+    down: Float64[np.ndarray, " 3"]
+    distance_mm: float
+
+
+def panel_places(
+    ray: Vectors,
+    pose: PanelPose,
+    *,
+    n_air: float,
+    liquid: LiquidPlane | None = None,
+    n_liquid: float = 1.0,
+    glass_mm: float = 0.0,
+    n_glass: float = 1.0,
+) -> Float64[np.ndarray, "rays 2"]:
+    """Return the screen coordinates (x right, y down, mm) that rays from the camera's centre end at.
+
+    ``n_liquid`` counts only with a ``liquid``. Rays that do not run into the screen give NaN.
+    """
+    start, direction, n_last = np.zeros_like(ray), ray, n_air
+    if liquid is not None:
+        slope = ray @ liquid.down
+        with np.errstate(divide="ignore", invalid="ignore"):
+            start = ray * np.where(slope > 0, liquid.distance_mm / slope, np.nan)[:, None]
+        direction, n_last = bent(ray, liquid.down, n_from=n_air, n_to=n_liquid), n_liquid
+    into = pose.rotation[:, 2]
+    front_mm = pose.centre_mm - glass_mm * into
+    slope = direction @ into
+    with np.errstate(divide="ignore", invalid="ignore"):
+        along = np.where(slope > 0, ((front_mm - start) @ into) / slope, np.nan)
+    place = start + along[:, None] * direction - pose.centre_mm
+    if glass_mm != 0:
+        inside = bent(direction, into, n_from=n_last, n_to=n_glass)
+        place = place + inside * (glass_mm / (inside @ into))[:, None]
+    return place @ pose.rotation[:, :2]
+
+
+def bent(direction: Vectors, towards: Float64[np.ndarray, " 3"], *, n_from: float, n_to: float) -> Vectors:
+    """Return unit directions after a plane with unit normal ``towards`` along the light; NaN beyond the critical angle."""
+    ratio = n_from / n_to
+    cosine = direction @ towards
+    with np.errstate(invalid="ignore"):
+        cosine_after = np.sqrt(1 - ratio**2 * (1 - cosine**2))
+    return ratio * direction + (cosine_after - ratio * cosine)[:, None] * towards
