@@ -36,8 +36,11 @@ def open_world(config: RigConfig, simulation: Simulation) -> Iterator[World]:
     What a program that was killed left under way goes on: on the simulated clock from the moment of the kill, in real time
     for as long as it took to come back.
     """
+    delay_s = simulation.scene.display.latency_s
     if simulation.state_file is None:
-        yield from _lasting_as_long_as_asked(new_world(config, _clock(simulation), fresh_state(config)))
+        yield from _lasting_as_long_as_asked(
+            new_world(config, _clock(simulation), fresh_state(config), light_delay_s=delay_s)
+        )
         return
     ledger = ledger_file(simulation)
     if ledger is not None and not simulation.state_file.exists():
@@ -49,7 +52,9 @@ def open_world(config: RigConfig, simulation: Simulation) -> Iterator[World]:
         state = after_restart(state, clock.now_s())
     file.keep(state)
     try:
-        yield from _lasting_as_long_as_asked(new_world(config, clock, state, on_change=file.keep))
+        yield from _lasting_as_long_as_asked(
+            new_world(config, clock, state, on_change=file.keep, light_delay_s=delay_s)
+        )
     finally:
         file.close()
 
@@ -83,13 +88,16 @@ def new_world(
     state: WorldState,
     *,
     on_change: Callable[[WorldState], None] = lambda state: None,  # noqa: ARG005
+    light_delay_s: float = 0.0,
 ) -> World:
     """Return the world of ``config`` with a dark display."""
     tank = config.tank
     # A thin object needs no liquid: a tank that is never filled stays dry.
     size = TankSize(tank.free_volume_ml, tank.fill_ml) if tank else TankSize(1.0, 1.0)
     dark = Frame(axis="x", levels=np.zeros(config.display.columns, dtype=np.uint8))
-    world = World(clock=clock, tank=size, dark_frame=dark, state=state, on_change=on_change)
+    world = World(
+        clock=clock, tank=size, dark_frame=dark, state=state, on_change=on_change, light_delay_s=light_delay_s
+    )
     if config.watch is not None:
         # Photos of the same frame are compared with each other: without noise of their own they would be one file twice.
         world.unrest.renew_noise()

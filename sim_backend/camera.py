@@ -10,8 +10,8 @@ from sim_backend.exif import Exposure, with_exif
 from sim_backend.exposure import TakesPhotos, WorldExposure
 from sim_backend.world import World
 
-# What can be set on this body. A simulated exposure does not depend on it: the scene fixes how bright a photo is.
-# It only stands in the photo, as any camera writes it there.
+# What can be set on this body. The scene fixes how bright a photo is, whatever is set; it stands in the photo, as any camera
+# writes it there. Where the scene's display changes with time, the shutter is open for as long as it is set to.
 DEFAULT_SETTINGS = {"shutter": "1/4", "aperture": "8", "iso": "100", "white_balance": "daylight", "focus": "manual"}
 
 
@@ -71,8 +71,9 @@ class SimulatedCamera:
         """Take one photo; the display may change when this returns."""
         if self._exposed:
             raise DeviceBusyError("camera: a second photo asked before the first was collected; collect it first")
+        open_s = self._exposure.lasts_s(float(Fraction(self._settings["shutter"])))
         self._exposure.open_shutter()
-        self._wait(self._exposure_s, timeout_s=timeout_s, what="the exposure")
+        self._wait(self._exposure_s if open_s is None else open_s, timeout_s=timeout_s, what="the exposure")
         self._exposure.close_shutter()
         self._exposed = True
 

@@ -25,14 +25,18 @@ class SimulatedDisplay:
         return ScreenInfo(self._columns, self._rows)
 
     def show(self, frame: Frame, *, frame_id: int, timeout_s: float) -> None:
-        """Show ``frame``; returns when it is on the glass. Raises ``DeviceProtocolError`` for one that does not fit."""
+        """Show ``frame``; returns when it is on the glass, or believed to be where the scene's display is slower than it says.
+
+        Raises ``DeviceProtocolError`` for a frame that does not fit.
+        """
         self._check(frame)
+        commanded_s = self._world.clock.now_s()
         self._world.clock.sleep_s(min(self._latency_s, timeout_s))
         if self._latency_s > timeout_s:
             raise DeviceTimeoutError(
                 f"display: frame {frame_id} was not on the glass after {timeout_s:g} s; allow more time"
             )
-        self._world.show(frame, frame_id=frame_id)
+        self._world.show(frame, frame_id=frame_id, commanded_s=commanded_s)
 
     def _check(self, frame: Frame) -> None:
         panel = f"the panel has {self._columns} × {self._rows} device pixels"

@@ -2,16 +2,23 @@
 
 The world is looked at when the shutter opens and when it closes. Where the display shows another frame by then, half of the
 light is that of the first one: the photo shows both, and a frame tag in it belongs to neither.
+
+Where the scene's display changes with time, each row of the photo gets each frame for as long as it was lit while the row was
+open, as bright as the display was then (:mod:`sim_backend.brightness`).
 """
 
+from collections.abc import Sequence
 from typing import Protocol, runtime_checkable
 
 import numpy as np
 import simplejpeg
+from jaxtyping import Float64
 
 from drivers.protocols import Frame
+from sim_backend.brightness import light_got, opening_times_s
 from sim_backend.disturbance import QUIET, Disturbance
 from sim_backend.frame_equality import same_frame
+from sim_backend.scene import Scene
 from sim_backend.world import Sight, World
 
 BLEND_QUALITY = 95
@@ -34,18 +41,51 @@ class TakesPhotos(Protocol):
         ...
 
 
+@runtime_checkable
+class MixesFrames(TakesPhotos, Protocol):
+    """Optics that know the scene, and can photograph several frames in one exposure."""
+
+    @property
+    def scene(self) -> Scene:
+        """What is in front of the camera."""
+        ...
+
+    def photograph_mix(
+        self,
+        frames: Sequence[Frame],
+        shares: Sequence[Float64[np.ndarray, " rows"]],
+        *,
+        opened_s: float,
+        stage_position_mm: float,
+        wet: bool,
+        object_present: bool = True,
+        disturbance: Disturbance = QUIET,
+    ) -> bytes:
+        """Return the JPEG file of one photo, of which each row got its share of each frame's light."""
+        ...
+
+
 class WorldExposure:
     """One sensor in front of ``world``, behind ``optics``; one exposure at a time."""
 
     def __init__(self, world: World, optics: TakesPhotos) -> None:
         self._world = world
         self._optics = optics
+        timed = isinstance(optics, MixesFrames) and optics.scene.display.changes_with_time
+        self._mixing: MixesFrames | None = optics if isinstance(optics, MixesFrames) and timed else None
         self._opened_on: Frame | None = None
+        self._opened_s = 0.0
         self._seen: tuple[Sight, Frame | None] | None = None
+        self._spans: tuple[float, tuple[tuple[float, float, Frame], ...]] = (0.0, ())
+
+    def lasts_s(self, shutter_s: float) -> float | None:
+        """Return how long a shutter set to ``shutter_s`` is open for all rows together; None where it does not matter."""
+        return None if self._mixing is None else shutter_s + self._mixing.scene.camera.readout_s
 
     def open_shutter(self) -> None:
         """Begin to see."""
         self._opened_on = self._world.shown()
+        self._opened_s = self._world.clock.now_s()
 
     def close_shutter(self) -> None:
         """End to see; the display may change when this returns."""
@@ -53,11 +93,15 @@ class WorldExposure:
         sight = self._world.look(opened_on=before)
         changed = before is not None and not same_frame(before, sight.frame)
         self._seen = (sight, before if changed else None)
+        closed_s = self._world.clock.now_s()
+        self._spans = (closed_s, self._world.shown_between(self._opened_s, closed_s))
 
     def develop(self) -> bytes:
         """Return the JPEG file of what was seen."""
         assert self._seen is not None, "the shutter was not opened and closed"
         (sight, before), self._seen = self._seen, None
+        if self._mixing is not None:
+            return self._mixed(self._mixing, sight)
         photo = self._photographed(sight, sight.frame)
         return photo if before is None else blended(self._photographed(sight, before), photo)
 
@@ -65,6 +109,26 @@ class WorldExposure:
         """Return the JPEG file of a photo that takes no time, whatever an exposure under way sees."""
         sight = self._world.look()
         return self._photographed(sight, sight.frame)
+
+    def _mixed(self, optics: MixesFrames, sight: Sight) -> bytes:
+        camera, display = optics.scene.camera, optics.scene.display
+        closed_s, spans = self._spans
+        exposure_s = max(0.0, closed_s - self._opened_s - camera.readout_s)
+        rows_open_s = opening_times_s(camera, self._opened_s)
+        # What is on the glass at the end stays there: a row must not lose light to the rounding of a sum of times.
+        until_s = [*(end_s for _, end_s, _ in spans[:-1]), np.inf]
+        return optics.photograph_mix(
+            [frame for _, _, frame in spans],
+            [
+                light_got(display, rows_open_s, exposure_s, first_s=first_s, last_s=last_s)
+                for (first_s, _, _), last_s in zip(spans, until_s, strict=True)
+            ],
+            opened_s=self._opened_s,
+            stage_position_mm=sight.stage_position_mm,
+            wet=sight.wet,
+            object_present=sight.object_present,
+            disturbance=sight.disturbance,
+        )
 
     def _photographed(self, sight: Sight, frame: Frame) -> bytes:
         return self._optics.photograph(

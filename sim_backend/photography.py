@@ -2,7 +2,7 @@
 
 import threading
 from collections import OrderedDict
-from collections.abc import Callable, Iterable
+from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass, field
 from functools import reduce
 from operator import add
@@ -76,6 +76,32 @@ class Photographer:
         parts = () if disturbance == QUIET else (disturbance,)
         key = frame_key(frame, self.scene.seed, float(stage_position_mm), wet, object_present, *parts)
         return jpeg_bytes(noisy_grey(value, camera, key=key), quality=camera.jpeg_quality)
+
+    def photograph_mix(
+        self,
+        frames: Sequence[Frame],
+        shares: Sequence[Float64[np.ndarray, " rows"]],
+        *,
+        opened_s: float,
+        stage_position_mm: float,
+        wet: bool,
+        object_present: bool = True,
+        disturbance: Disturbance = QUIET,
+    ) -> bytes:
+        """Return the JPEG of one exposure during which the display showed ``frames``.
+
+        Each row of the photo gets its share of each frame's light. Rows are weighted before the lens blurs them: shares change
+        over hundreds of rows, blur reaches over a few. Exposures at different times have noise of their own.
+        """
+        key = (float(stage_position_mm), wet, object_present, disturbance)
+        view = self._view(key)
+        camera = self.scene.camera
+        light = np.zeros((camera.rows, camera.columns), np.float32)
+        for frame, share in zip(frames, shares, strict=True):
+            light += share[:, None].astype(np.float32) * self._light(view, frame)
+        number = frame_key(frames[-1], self.scene.seed, *key, opened_s, [frame_key(frame) for frame in frames[:-1]])
+        seen = self._seen(view, light, disturbance)
+        return jpeg_bytes(noisy_grey(seen, camera, key=number), quality=camera.jpeg_quality)
 
     def expected(
         self,
@@ -183,16 +209,23 @@ class Photographer:
 
     def _value(self, frame: Frame, key: Key) -> Values:
         """Return the expected share of full scale in each pixel."""
-        self._check(frame)
         view = self._view(key)
-        camera = self.scene.camera
+        return self._seen(view, self._light(view, frame), key[-1])
+
+    def _light(self, view: View, frame: Frame) -> Values:
+        """Return the light of the display in each pixel, 1 where it is fully lit and nothing is lost on the way."""
+        self._check(frame)
         if frame.image is not None:
             light = self._image_light(view, frame)
         else:
             light = self._stripe_light(view, frame)
             light += self._patch_light(view, frame)
-        light = light.reshape(camera.rows, camera.columns)
-        dimmed = np.float32(camera.signal * key[-1].light)
+        return light.reshape(self.scene.camera.rows, self.scene.camera.columns)
+
+    def _seen(self, view: View, light: Values, disturbance: Disturbance) -> Values:
+        """Return what the lens and the room make of the display's light; ``light`` is used up."""
+        camera = self.scene.camera
+        dimmed = np.float32(camera.signal * disturbance.light)
         if view.marks is not None:
             covered, sent = view.marks
             light = blur(light * (1 - covered) * dimmed + sent, camera.blur_px)

@@ -3,7 +3,7 @@
 from typing import Annotated, Literal
 
 import numpy as np
-from pydantic import BaseModel, ConfigDict, Field
+from pydantic import BaseModel, ConfigDict, Field, model_validator
 
 Finite = Annotated[float, Field(allow_inf_nan=False)]
 Positive = Annotated[float, Field(gt=0, allow_inf_nan=False)]
@@ -25,10 +25,20 @@ class SceneGlass(ScenePart):
     n: Index
 
 
+class SceneFlicker(ScenePart):
+    """How the display's brightness swings about its mean: by ``depth`` of it up and down, as a sine or from one to the other."""
+
+    frequency_hz: Positive
+    depth: Annotated[float, Field(gt=0, le=1)]
+    wave: Literal["sine", "square"] = "sine"
+
+
 class SceneDisplay(ScenePart):
     """The panel: its pixels, how drive level turns into light, and where its pixel plane stands at stage position 0.
 
-    Light is ``(level / 255) ** gamma``, from 0 to 1. The stage carries the panel along ``stage_direction``.
+    Light is ``(level / 255) ** gamma``, from 0 to 1. The stage carries the panel along ``stage_direction``. ``latency_s`` passes
+    from the command to show a frame until its light; a display that says it is done may say so earlier. ``drift_per_min`` is the
+    share of its brightness that the display gains each minute, from the start of the world's clock.
     """
 
     columns: Count
@@ -41,6 +51,14 @@ class SceneDisplay(ScenePart):
     x_axis: Vector = (1.0, 0.0, 0.0)
     y_axis: Vector = (0.0, 1.0, 0.0)
     stage_direction: Vector = (0.0, 0.0, 1.0)
+    latency_s: Annotated[float, Field(ge=0, le=10)] = 0.0
+    flicker: SceneFlicker | None = None
+    drift_per_min: Finite = 0.0
+
+    @property
+    def changes_with_time(self) -> bool:
+        """Whether it matters when a photo is taken, and for how long."""
+        return self.latency_s > 0 or self.flicker is not None or self.drift_per_min != 0
 
 
 class SceneCamera(ScenePart):
@@ -48,6 +66,10 @@ class SceneCamera(ScenePart):
 
     A pixel that sees a fully lit display without loss has ``ambient + signal`` of full scale, a dark one ``ambient``.
     ``full_well_electrons`` is full scale. The photo's grey level is 255 · value ^ (1 / response_gamma).
+
+    With a ``global`` shutter all rows see the same time; with a ``rolling`` one, row r of n opens r / n · ``readout_s`` after the
+    first and closes as much later. It shows where the display changes with time (:class:`SceneDisplay`). How long a shutter is
+    open does not change how bright a photo is, as if the aperture were set with it.
     """
 
     columns: Count
@@ -68,6 +90,14 @@ class SceneCamera(ScenePart):
     ambient: Annotated[float, Field(ge=0, le=1)] = 0.01
     response_gamma: Positive = 1.0
     jpeg_quality: Annotated[int, Field(ge=1, le=100)] = 95
+    shutter: Literal["global", "rolling"] = "global"
+    readout_s: Annotated[float, Field(ge=0, le=1)] = 0.0
+
+    @model_validator(mode="after")
+    def _only_a_rolling_shutter_reads_out_row_by_row(self) -> "SceneCamera":
+        if (self.shutter == "rolling") != (self.readout_s > 0):
+            raise ValueError("readout_s belongs to the shutter 'rolling', which needs it; a global shutter has none")
+        return self
 
     def world_from_camera(self) -> np.ndarray:
         """Return the 3 by 3 matrix whose columns are the camera's x, y and forward axes."""

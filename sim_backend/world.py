@@ -7,6 +7,7 @@ therefore agree about the tank, whoever asks and whenever.
 
 import math
 import threading
+from collections import deque
 from collections.abc import Callable
 from dataclasses import dataclass, replace
 from typing import Any
@@ -20,6 +21,8 @@ from sim_backend.unrest import Unrest
 # Photos know a dry tank and a filled one. The last per cent of the volume raises the level by less than the
 # meniscus is high, so that rounding in a pump's volume does not keep the object dry.
 WET_FRACTION = 0.99
+# An exposure looks back at what was shown while its shutter was open.
+FRAMES_KEPT = 64
 
 
 @dataclass(frozen=True, slots=True)
@@ -98,7 +101,7 @@ class World:
     """Liquid, stage, display and object at the present of ``clock``; every method may be called from any thread.
 
     ``on_change`` hears the new state whenever somebody did something to liquid, stage or object. ``unrest`` is where tests
-    push and shake things.
+    push and shake things. ``light_delay_s`` passes from a display's command to its light.
     """
 
     def __init__(
@@ -109,15 +112,17 @@ class World:
         dark_frame: Frame,
         state: WorldState,
         on_change: Callable[[WorldState], None] = lambda state: None,  # noqa: ARG005
+        light_delay_s: float = 0.0,
     ) -> None:
         self.clock = clock
+        self.light_delay_s = light_delay_s
         self.tank = tank
         self.disturbed_photos = 0
         self.unrest = Unrest()
         self._dark_frame = dark_frame
         self._state = state
         self._on_change = on_change
-        self._shown: tuple[Frame, int | None] = (dark_frame, None)
+        self._shown: deque[tuple[float, Frame, int | None]] = deque([(-math.inf, dark_frame, None)], FRAMES_KEPT)
         self.faults = LiquidFaults()
         self._siphoned_s = clock.now_s()
         self._lock = threading.RLock()
@@ -230,10 +235,13 @@ class World:
 
     # What is shown and seen
 
-    def show(self, frame: Frame, *, frame_id: int | None) -> None:
-        """Put a frame on the glass."""
+    def show(self, frame: Frame, *, frame_id: int | None, commanded_s: float | None = None) -> None:
+        """Put a frame on the glass: at once, or ``light_delay_s`` after it was commanded."""
         with self._lock:
-            self._shown = (frame, frame_id)
+            lit_s = self.clock.now_s()
+            if commanded_s is not None:
+                lit_s = max(lit_s, commanded_s + self.light_delay_s)
+            self._shown.append((max(lit_s, self._shown[-1][0]), frame, frame_id))
 
     def show_nothing(self) -> None:
         """Let the glass go dark."""
@@ -253,7 +261,25 @@ class World:
     def shown(self) -> Frame:
         """Return what is on the glass."""
         with self._lock:
-            return self._shown[0]
+            return self._lit()[0]
+
+    def _lit(self) -> tuple[Frame, int | None]:
+        now_s = self.clock.now_s()
+        lit = ((frame, frame_id) for lit_s, frame, frame_id in reversed(self._shown) if lit_s <= now_s)
+        return next(lit, self._shown[0][1:])
+
+    def shown_between(self, first_s: float, last_s: float) -> tuple[tuple[float, float, Frame], ...]:
+        """Return what was on the glass in a while that is over: from when, until when, and the frame."""
+        with self._lock:
+            starts_s = [lit_s for lit_s, _, _ in self._shown]
+            frames = [frame for _, frame, _ in self._shown]
+        ends_s = [*starts_s[1:], math.inf]
+        seen = [
+            (max(start_s, first_s), min(end_s, last_s), frame)
+            for start_s, end_s, frame in zip(starts_s, ends_s, frames, strict=True)
+            if start_s <= last_s and end_s > first_s
+        ]
+        return tuple(seen)
 
     def look(self, *, opened_on: Frame | None = None) -> Sight:
         """Return what a camera sees now, and count the look if something moved meanwhile.
@@ -261,7 +287,7 @@ class World:
         ``opened_on`` is what was on the glass when its shutter opened.
         """
         with self._lock:
-            frame, frame_id = self._shown
+            frame, frame_id = self._lit()
             changed = opened_on is not None and not same_frame(opened_on, frame)
             disturbed = changed or self.is_moving() or self.flow_direction() is not None
             self.disturbed_photos += disturbed
