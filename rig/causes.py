@@ -13,10 +13,17 @@ from typing import Literal
 
 from drivers.errors import DeviceError, DeviceProtocolError, OutOfTravelError, OutOfVolumeError
 from recon.errors import SessionError
-from rig.errors import DiskLowError, NotStoppedError, StageMovedError, TankAlarmError, WrongLevelError
+from rig.errors import (
+    DiskLowError,
+    NotStoppedError,
+    SceneMovedError,
+    StageMovedError,
+    TankAlarmError,
+    WrongLevelError,
+)
 
 Response = Literal["suspend", "latch", "stop"]
-Part = Literal["camera", "display", "stage", "pump", "disk"]
+Part = Literal["camera", "display", "stage", "pump", "disk", "scene"]
 
 
 @dataclass(frozen=True, slots=True)
@@ -48,6 +55,7 @@ CAUSES: tuple[Cause, ...] = (
     Cause("alarm at the tank", "pump", (TankAlarmError,), "latch", AFTER_LOOKING),
     Cause("level wrong", "pump", (WrongLevelError,), "latch", AFTER_LOOKING),
     Cause("not stopped", "pump", (NotStoppedError,), "latch", AFTER_LOOKING),
+    Cause("scene moved", "scene", (SceneMovedError,), "stop", ONCE_RESUMED),
 )
 DISK_IS_FULL = (errno.ENOSPC, errno.EDQUOT)
 

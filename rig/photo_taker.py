@@ -86,10 +86,22 @@ class PhotoTaker:
             raise DiskLowError(no_room)
         with part_of_rig("camera"):
             self._freeze.for_set(photo.set_name)
+        files, frame_tag = self._sound(photo, following)
+        self._save(photo, files, frame_tag)
+        fault, self._display_fault = self._display_fault, None
+        if fault is not None:
+            raise fault
+
+    def snap(self, photo: TakePhoto) -> tuple[Photo, ...]:
+        """Take one photo and return its files; they do not become part of the session."""
+        self._guard.check("photo")
+        return self._sound(photo, None)[0]
+
+    def _sound(self, photo: TakePhoto, following: TakePhoto | None) -> tuple[tuple[Photo, ...], int | None]:
+        """Return the files and the tag of a photo, after as many attempts as it needs and may have."""
         for attempt in range(1, PHOTO_ATTEMPTS + 1):
             try:
-                files, frame_tag = self._taken(photo, following)
-                break
+                return self._taken(photo, following)
             except SpoiledPhotoError as spoiled:
                 self._shown = None
                 self._writer.journal.append(
@@ -103,10 +115,7 @@ class PhotoTaker:
                 if attempt == PHOTO_ATTEMPTS:
                     raise spoiled.fault from None
                 self._wait(RETRY_PAUSE_S)
-        self._save(photo, files, frame_tag)
-        fault, self._display_fault = self._display_fault, None
-        if fault is not None:
-            raise fault
+        raise AssertionError("the last attempt returns or raises")
 
     def _taken(self, photo: TakePhoto, following: TakePhoto | None) -> tuple[tuple[Photo, ...], int | None]:
         """Show, wait, expose; show the next frame while this photo is downloaded; return its files and its tag."""
@@ -131,15 +140,6 @@ class PhotoTaker:
                 raise DeviceProtocolError(f"camera: no file for {name}")
             check_exposure(files, self._freeze.settings, name=name)
             return files, self._tag_check.check(photo, files)
-
-    def snap(self, photo: TakePhoto) -> tuple[Photo, ...]:
-        """Take one photo and keep it out of the session; a spoiled one ends it as the camera's own fault."""
-        self._guard.check("photo")
-        try:
-            files, _ = self._taken(photo, None)
-        except SpoiledPhotoError as spoiled:
-            raise spoiled.fault from None
-        return files
 
     def _discard_uncollected(self) -> None:
         """Take from the camera what an earlier attempt left in it, so that it is not taken for the next photo."""

@@ -1,11 +1,13 @@
 """Watches that the scene stays as it was: looks at every reference photo, and waits until the picture is still."""
 
 from collections.abc import Callable, Sequence
+from contextlib import suppress
 from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import Any, Literal
 
 from drivers.protocols import Clock, Photo
+from recon.errors import SessionError
 from recon.photos import Counts, decode_grey, read_grey
 from recon.scene_change import Finding, SceneLimits, SceneParts
 from recon.scene_check import REFERENCE, SceneCheck, SceneChecker
@@ -113,7 +115,8 @@ class SceneWatch:
         if self._checker is None:
             self._checker = self._begun()
             for key in [key for key in session.photos if key[1] == REFERENCE and key != photo.key]:
-                self._checker.see(key[0], key[2], self._read(session.photo_file(*key)), wet=_is_wet(key[0]))
+                with suppress(SessionError):  # one that was lost is missed only by the comparison with it
+                    self._checker.see(key[0], key[2], self._read(session.photo_file(*key)), wet=_is_wet(key[0]))
         found = self._checker.see(photo.set_name, photo.index, self._read(path), wet=_is_wet(photo.set_name))
         if found is None:
             return SceneOutcome("go on")
