@@ -58,13 +58,13 @@ def _checked(gp: Any, camera: Any, name: str, value: str) -> Any:
     if kind in (gp.GP_WIDGET_RADIO, gp.GP_WIDGET_MENU):
         choices = list(widget.get_choices())
         if value not in choices:
-            raise RefusedError(f"{name} {value!r} asked, this camera has {', '.join(choices)}")
+            raise RefusedError(f"{name} {value!r} asked, this camera has {', '.join(choices)}; choose one of them")
     if widget.get_readonly() and now != value:
-        raise RefusedError(f"{name} {value!r} asked, it is {now!r} and only the body can change it")
+        raise RefusedError(f"{name} {value!r} asked, it is {now!r} and only the body can change it; set it there")
     try:
         return float(value) if kind == gp.GP_WIDGET_RANGE else int(value) if kind == gp.GP_WIDGET_TOGGLE else value
     except ValueError:
-        raise RefusedError(f"{name} {value!r} asked, it takes a number") from None
+        raise RefusedError(f"{name} {value!r} asked, it takes a number; correct it in [camera.settings]") from None
 
 
 def _read_back(gp: Any, camera: Any, name: str, wanted: str) -> str:

@@ -62,7 +62,7 @@ def _name(sentence: str) -> str:
 
 def pattern_of(sentence: str) -> re.Pattern[str]:
     """Return what matches a sentence of the page."""
-    return re.compile(".+?".join(re.escape(part) for part in sentence.split(WILDCARD)))
+    return re.compile(".*?".join(re.escape(part) for part in sentence.split(WILDCARD)))
 
 
 class OperatorReads:

@@ -10,6 +10,7 @@ import hashlib
 import hmac
 import json
 import logging
+import os
 import re
 import ssl
 import threading
@@ -78,8 +79,8 @@ class PageServer:
         if self._failure is not None:
             self._thread.join()
             raise DeviceBusyError(
-                f"display: cannot listen at {self.address.netloc()} ({self._failure.strerror}); is another rig command "
-                "running? Else choose another port, or the address that this machine has now"
+                f"display: cannot listen at {self.address.netloc()} ({os.strerror(self._failure.errno or 0)}); is another "
+                "rig command running? Else choose another port, or the address that this machine has now"
             )
 
     def push(self) -> None:

@@ -49,7 +49,10 @@ VIEWFINDER_JPEG = 1
 APERTURE, EXPOSURE_TIME, SENSITIVITY = 0xD101, 0xD102, 0xD103
 # What the values of these properties stand for.
 F_NUMBERS = {0x28: Fraction(4), 0x30: Fraction(56, 10), 0x38: Fraction(8), 0x40: Fraction(11)}
-TIMES_S = {0x40: Fraction(1, 2), 0x48: Fraction(1, 4), 0x50: Fraction(1, 8), 0x58: Fraction(1, 15)}
+TIMES_S = {
+    **{0x40: Fraction(1, 2), 0x48: Fraction(1, 4), 0x50: Fraction(1, 8), 0x58: Fraction(1, 15)},
+    **{0x60: Fraction(1, 30), 0x68: Fraction(1, 60)},
+}
 SENSITIVITIES = {0x48: 100, 0x50: 200, 0x58: 400}
 PROPERTIES = (
     Property(APERTURE, UINT32, 0x38, tuple(F_NUMBERS)),

@@ -11,6 +11,7 @@ from pathlib import Path
 import pytest
 import simplejpeg
 from emulated_camera import NumberedPhotos, without_exif
+from faults_page import OperatorReads
 
 from drivers.errors import (
     DeviceAlarmError,
@@ -130,32 +131,34 @@ def test_settings_are_frozen_and_read_back(rig: Rig, model: Model) -> None:
     assert rig.camera.settings() == before | SHUTTER[model]
 
 
-def test_nothing_is_set_unless_all_of_it_can_be(rig: Rig, model: Model) -> None:
+def test_nothing_is_set_unless_all_of_it_can_be(operator_reads: OperatorReads, rig: Rig, model: Model) -> None:
     before = rig.camera.settings()
-    with pytest.raises(DeviceProtocolError, match="iso '123' asked, this camera has 100, 200, 400"):
+    with operator_reads.raised(DeviceProtocolError):
         rig.camera.apply_settings({**SHUTTER[model], "iso": "123"})
     assert rig.camera.settings() == before
 
 
-def test_a_setting_that_does_not_take_is_an_error(rig: Rig, model: Model) -> None:
+def test_a_setting_that_does_not_take_is_an_error(operator_reads: OperatorReads, rig: Rig, model: Model) -> None:
     rig.body.set_faults(hidden_settings=5)
-    with pytest.raises(DeviceProtocolError, match=r"shutterspeed .* was set, the camera reports"):
+    with operator_reads.raised(DeviceProtocolError):
         rig.camera.apply_settings(SHUTTER[model])
 
 
 @pytest.mark.parametrize(
-    ("model", "wrong", "advice"),
+    ("model", "wrong"),
     [
-        ("generic", {"focusmode": "Automatic"}, "lens to MF"),
-        ("generic", {"expprogram": "P"}, "mode dial"),
-        ("generic", {"whitebalance": "Automatic"}, "fixed white balance"),
-        ("canon-eos-40d", {"focusmode": "One Shot"}, "lens to MF"),
-        ("canon-eos-40d", {"drivemode": "Continuous"}, "single shots"),
-        ("canon-eos-40d", {"whitebalance": "Auto"}, "fixed white balance"),
+        pytest.param("generic", {"focusmode": "Automatic"}, id="generic focus"),
+        pytest.param("generic", {"expprogram": "P"}, id="generic mode"),
+        pytest.param("generic", {"whitebalance": "Automatic"}, id="generic white balance"),
+        pytest.param("canon-eos-40d", {"focusmode": "One Shot"}, id="EOS focus"),
+        pytest.param("canon-eos-40d", {"drivemode": "Continuous"}, id="EOS drive"),
+        pytest.param("canon-eos-40d", {"whitebalance": "Auto"}, id="EOS white balance"),
     ],
 )
-def test_what_would_change_from_photo_to_photo_is_refused(rig: Rig, wrong: dict[str, str], advice: str) -> None:
-    with pytest.raises(DeviceProtocolError, match=advice):
+def test_what_would_change_from_photo_to_photo_is_refused(
+    operator_reads: OperatorReads, rig: Rig, wrong: dict[str, str]
+) -> None:
+    with operator_reads.raised(DeviceProtocolError):
         rig.camera.apply_settings(wrong)
 
 
@@ -200,8 +203,8 @@ def test_live_view_gives_a_picture_without_taking_a_photo(rig: Rig) -> None:
 
 
 @pytest.mark.parametrize("model", ["generic"])
-def test_a_camera_without_live_view_says_so(rig: Rig) -> None:
-    with pytest.raises(DeviceProtocolError, match="live view"):
+def test_a_camera_without_live_view_says_so(operator_reads: OperatorReads, rig: Rig) -> None:
+    with operator_reads.raised(DeviceProtocolError):
         rig.camera.live_view()
 
 
@@ -214,9 +217,9 @@ def test_a_busy_camera_is_asked_again(rig: Rig) -> None:
     assert len(rig.photos.given) == 1
 
 
-def test_a_camera_that_stays_busy_is_an_error_after_the_time_asked(rig: Rig) -> None:
+def test_a_camera_that_stays_busy_is_an_error_after_the_time_asked(operator_reads: OperatorReads, rig: Rig) -> None:
     rig.body.set_faults(busy=1000)
-    with pytest.raises(DeviceBusyError, match="memory card"):
+    with operator_reads.raised(DeviceBusyError):
         rig.camera.expose(timeout_s=1.0)
     rig.body.set_faults(busy=0)
     assert rig.photograph() == rig.photos.given[-1]
@@ -237,19 +240,21 @@ def test_a_photo_that_somebody_took_at_the_same_moment_leads_to_another_one(rig:
     assert rig.camera.counts.strays == rig.camera.counts.retaken == 1
 
 
-def test_a_photo_that_somebody_took_before_the_download_makes_both_uncertain(rig: Rig) -> None:
+def test_a_photo_that_somebody_took_before_the_download_makes_both_uncertain(
+    operator_reads: OperatorReads, rig: Rig
+) -> None:
     rig.camera.expose(timeout_s=20.0)
     rig.body.set_faults(stray=1)
     time.sleep(0.1)
-    with pytest.raises(DeviceProtocolError, match="somebody took 1 more"):
+    with operator_reads.raised(DeviceProtocolError):
         rig.camera.collect(timeout_s=20.0)
     assert rig.photograph() == rig.photos.given[-1]
 
 
-def test_the_file_of_the_photo_before_is_never_taken_for_a_new_one(rig: Rig) -> None:
+def test_the_file_of_the_photo_before_is_never_taken_for_a_new_one(operator_reads: OperatorReads, rig: Rig) -> None:
     rig.photograph()
     rig.body.set_faults(stale=1)
-    with pytest.raises(DeviceProtocolError, match="byte for byte the photo before"):
+    with operator_reads.raised(DeviceProtocolError):
         rig.photograph()
     assert rig.photograph() == rig.photos.given[-1]
 
@@ -261,9 +266,9 @@ def test_a_download_that_was_cut_short_is_repeated(rig: Rig) -> None:
     assert len(rig.photos.given) == 1
 
 
-def test_a_file_that_is_cut_short_is_never_handed_on(rig: Rig) -> None:
+def test_a_file_that_is_cut_short_is_never_handed_on(operator_reads: OperatorReads, rig: Rig) -> None:
     rig.body.set_faults(truncated=2)
-    with pytest.raises(DeviceProtocolError, match="expose again"):
+    with operator_reads.raised(DeviceProtocolError):
         rig.photograph()
     rig.body.set_faults(truncated=0)
     assert rig.photograph() == rig.photos.given[-1]
@@ -276,9 +281,11 @@ def test_a_photo_that_is_accepted_and_forgotten_is_taken_again(model: Model) -> 
         assert rig.camera.counts.recoveries >= 1
 
 
-def test_a_photo_that_comes_after_its_time_is_not_taken_for_the_next_one(model: Model) -> None:
+def test_a_photo_that_comes_after_its_time_is_not_taken_for_the_next_one(
+    operator_reads: OperatorReads, model: Model
+) -> None:
     with opened(model, exposure_s=0.5) as rig:
-        with pytest.raises(DeviceTimeoutError, match=r"within 0.2 s"):
+        with operator_reads.raised(DeviceTimeoutError):
             rig.camera.expose(timeout_s=0.2)
         assert rig.photograph() == rig.photos.given[-1]
         assert len(rig.photos.given) == 2
@@ -300,9 +307,9 @@ def test_a_photo_on_the_card_survives_a_link_that_breaks_before_its_download(rig
 
 
 @pytest.mark.parametrize("model", ["generic"])
-def test_a_full_card_wants_a_person(rig: Rig) -> None:
+def test_a_full_card_wants_a_person(operator_reads: OperatorReads, rig: Rig) -> None:
     rig.body.set_faults(card_full=True)
-    with pytest.raises(DeviceAlarmError, match="full; put in an empty card"):
+    with operator_reads.raised(DeviceAlarmError):
         rig.camera.expose(timeout_s=20.0)
     rig.body.set_faults(card_full=False)
     assert rig.photograph() == rig.photos.given[-1]
@@ -310,10 +317,12 @@ def test_a_full_card_wants_a_person(rig: Rig) -> None:
 
 @pytest.mark.slow
 @pytest.mark.parametrize("model", ["canon-eos-40d"])
-def test_a_camera_that_falls_silent_wants_a_person_and_works_afterwards(rig: Rig) -> None:
+def test_a_camera_that_falls_silent_wants_a_person_and_works_afterwards(
+    operator_reads: OperatorReads, rig: Rig
+) -> None:
     rig.photograph()
     rig.body.set_faults(silent=True)
-    with pytest.raises(DeviceAlarmError, match="Switch it off and on"):
+    with operator_reads.raised(DeviceAlarmError):
         rig.camera.expose(timeout_s=60.0)
     rig.body.set_faults(silent=False)
     assert rig.photograph() == rig.photos.given[-1]
@@ -342,21 +351,21 @@ def test_an_interrupted_call_does_not_answer_for_the_next(model: Model) -> None:
         assert rig.photograph() == rig.photos.given[-1]
 
 
-def test_nobody_at_the_address_is_said_in_one_sentence() -> None:
+def test_nobody_at_the_address_is_said_in_one_sentence(operator_reads: OperatorReads) -> None:
     with emulate_camera(NumberedPhotos()) as body:
         address = body.address
-    with pytest.raises(DeviceNotFoundError, match="switch it on"), Gphoto2Camera(address):
+    with operator_reads.raised(DeviceNotFoundError), Gphoto2Camera(address):
         pass
 
 
 @pytest.mark.parametrize("address", ["/dev/ttyUSB0", "", "usb"])
-def test_an_address_that_is_none_is_refused_before_anything_starts(address: str) -> None:
-    with pytest.raises(DeviceNotFoundError, match="usb:BUS,DEVICE or ptpip:HOST"):
+def test_an_address_that_is_none_is_refused_before_anything_starts(operator_reads: OperatorReads, address: str) -> None:
+    with operator_reads.raised(DeviceNotFoundError):
         Gphoto2Camera(address)
 
 
-def test_an_unknown_profile_is_refused_with_those_that_exist() -> None:
-    with pytest.raises(DeviceNotFoundError, match=r"'polaroid' asked, there are generic, canon-eos-40d"):
+def test_an_unknown_profile_is_refused_with_those_that_exist(operator_reads: OperatorReads) -> None:
+    with operator_reads.raised(DeviceNotFoundError):
         Gphoto2Camera("usb:", profile="polaroid")
 
 

@@ -3,6 +3,7 @@
 from typing import Any
 
 import pytest
+from faults_page import OperatorReads
 
 from drivers import camera_link
 from drivers.camera_link import RUNGS, CameraLink
@@ -80,13 +81,13 @@ def test_a_success_begins_anew_at_the_mildest_rung() -> None:
 
 @pytest.mark.parametrize(("address", "rungs"), [("usb:001,005", RUNGS), ("ptpip:127.0.0.1", RUNGS[:2])])
 def test_above_the_last_rung_a_person_is_asked_to_switch_the_camera_off_and_on(
-    address: str, rungs: tuple[str, ...]
+    operator_reads: OperatorReads, address: str, rungs: tuple[str, ...]
 ) -> None:
     link = RecordedLink(address, failures=1000)
     with pytest.raises(DeviceAlarmError, match="Switch it off and on") as found:
         camera_on(link).expose(timeout_s=10.0)
     assert link.climbed == list(range(len(rungs)))
-    assert ", ".join(rungs) in str(found.value)
+    operator_reads(found.value)
 
 
 def test_what_is_not_the_links_fault_climbs_nothing() -> None:
@@ -114,9 +115,11 @@ def test_a_camera_that_comes_back_from_its_reset_with_another_address_is_followe
     assert opened == ["usb:001,006"]
 
 
-def test_a_reset_of_a_camera_that_is_gone_asks_to_switch_it_on(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_reset_of_a_camera_that_is_gone_asks_to_switch_it_on(
+    operator_reads: OperatorReads, monkeypatch: pytest.MonkeyPatch
+) -> None:
     monkeypatch.setattr(camera_link, "find_usb_cameras", lambda: ())
-    with pytest.raises(DeviceNotFoundError, match="switch it on"):
+    with operator_reads.raised(DeviceNotFoundError):
         CameraLink("usb:001,005", profile="generic", environment=None).recover(3)
 
 

@@ -9,6 +9,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 from chromium_page import Browser, Page, open_browser
+from faults_page import OperatorReads
 
 from drivers.errors import DeviceError, DeviceNotFoundError, DeviceTimeoutError
 from drivers.protocols import Frame, Patch
@@ -76,15 +77,18 @@ def eventually(happens: Callable[[], bool]) -> bool:
 
 
 def frames_to_try(columns: int, rows: int) -> list[tuple[Frame, np.ndarray]]:
-    """Frames, and the drive level that each device pixel must have."""
+    """Frames, and the drive level that each device pixel must have.
+
+    Along each axis a line of one device pixel at both ends and beside them, and a raised cosine that begins before the first
+    pixel, one that ends behind the last, and one between pixels.
+    """
     tried = []
-    for place in (0, 1, columns - 1):
-        tried.append((Frame(axis="x", levels=stripe(place, columns)), np.tile(stripe(place, columns), (rows, 1))))
-    for place in (0, rows - 1):
-        levels = stripe(place, rows)
-        tried.append((Frame(axis="y", levels=levels), np.tile(levels[:, None], (1, columns))))
-    soft = raised_cosine(columns, centre=columns / 3 + 0.25, width=24)
-    tried.append((Frame(axis="x", levels=soft), np.tile(soft, (rows, 1))))
+    for axis, count, across in (("x", columns, (rows, 1)), ("y", rows, (columns, 1))):
+        lines = [stripe(place, count) for place in (0, 1, count - 2, count - 1)]
+        centres = (2.0, count / 3 + 0.25, count - 3.0)
+        for levels in (*lines, *(raised_cosine(count, centre=centre, width=24) for centre in centres)):
+            wanted = np.tile(levels, across)
+            tried.append((Frame(axis=axis, levels=levels), wanted if axis == "x" else wanted.T))
     image = np.random.default_rng(5).integers(0, 256, (rows, columns), dtype=np.uint8)
     under = image.copy()
     under[-4:, -6:] = 77
@@ -97,6 +101,7 @@ def frames_to_try(columns: int, rows: int) -> list[tuple[Frame, np.ndarray]]:
     [
         ("white", (0, 1, 2), 1.0),
         ("green", (1,), 1.0),
+        ("white", (0, 1, 2), 1.5),
         ("white", (0, 1, 2), 2.0),
         ("green", (1,), 2.0),
         ("red", (0,), 1.5),
@@ -117,13 +122,15 @@ def test_every_device_pixel_is_as_commanded(
             np.testing.assert_array_equal(page.picture(), wanted)
 
 
-def test_a_whole_tablet_at_its_own_ratio_of_two_is_exact(tmp_path: Path) -> None:
+@pytest.mark.parametrize(("ratio", "columns", "rows"), [(1.0, 1280, 800), (1.5, 1536, 1152), (2.0, 2048, 1536)])
+def test_a_whole_tablet_at_its_own_ratio_is_exact(tmp_path: Path, ratio: float, columns: int, rows: int) -> None:
     with (
-        open_browser("--force-device-scale-factor=2") as browser,
-        playing(browser, tmp_path, columns=2048, rows=1536, ratio=0.0, primary="green") as (device, page),
+        open_browser(f"--force-device-scale-factor={ratio}") as browser,
+        playing(browser, tmp_path, columns=columns, rows=rows, ratio=0.0, primary="green") as (device, page),
     ):
-        assert (device.screen().columns, device.screen().rows, device.screen().pixel_ratio) == (2048, 1536, 2.0)
-        for number, (frame, levels) in enumerate(frames_to_try(2048, 1536)):
+        seen = device.screen()
+        assert (seen.columns, seen.rows, seen.pixel_ratio) == (columns, rows, ratio)
+        for number, (frame, levels) in enumerate(frames_to_try(columns, rows)):
             device.show(frame, frame_id=number, timeout_s=TIMEOUT_S)
             picture = page.picture()
             np.testing.assert_array_equal(picture[..., 1], levels)
@@ -180,14 +187,14 @@ def test_the_next_command_finds_the_page_that_is_still_open(browser: Browser, tm
             np.testing.assert_array_equal(page.picture()[0, :, 0], stripe(9))
 
 
-def test_a_rotated_tablet_suspends_the_run_and_turning_it_back_lets_it_go_on(browser: Browser, tmp_path: Path) -> None:
+def test_a_rotated_tablet_suspends_the_run_and_turning_it_back_lets_it_go_on(
+    operator_reads: OperatorReads, browser: Browser, tmp_path: Path
+) -> None:
     with playing(browser, tmp_path) as (device, page):
         device.show(Frame(axis="x", levels=stripe(3)), frame_id=3, timeout_s=TIMEOUT_S)
         page.resize(columns=ROWS, rows=COLUMNS)
         page.wait_until(f"canvas.width === {ROWS}")
-        with pytest.raises(
-            DeviceError, match=r"rotated: the page has 120 × 200 device pixels, it had 200 × 120; turn it"
-        ):
+        with operator_reads.raised(DeviceError):
             device.show(Frame(axis="x", levels=stripe(4)), frame_id=4, timeout_s=TIMEOUT_S)
         page.resize(columns=COLUMNS, rows=ROWS)
         assert eventually(lambda: device.screen().columns == COLUMNS)
@@ -196,14 +203,15 @@ def test_a_rotated_tablet_suspends_the_run_and_turning_it_back_lets_it_go_on(bro
 
 
 @pytest.mark.parametrize(
-    ("change", "sentence"),
+    "change",
     [
-        ({"columns": COLUMNS - 20, "rows": ROWS}, "180 × 120 device pixels, it had 200 × 120; undo"),
-        ({"columns": COLUMNS, "rows": ROWS, "ratio": 2.0}, "pixel ratio is 2, it was 1"),
+        {"columns": COLUMNS - 20, "rows": ROWS},
+        {"columns": COLUMNS, "rows": ROWS, "ratio": 2.0},
     ],
+    ids=["size", "ratio"],
 )
 def test_another_size_or_ratio_suspends_the_run(
-    browser: Browser, tmp_path: Path, change: dict[str, float], sentence: str
+    operator_reads: OperatorReads, browser: Browser, tmp_path: Path, change: dict[str, float]
 ) -> None:
     with playing(browser, tmp_path) as (device, page):
         device.show(Frame(axis="x", levels=stripe(3)), frame_id=3, timeout_s=TIMEOUT_S)
@@ -211,19 +219,19 @@ def test_another_size_or_ratio_suspends_the_run(
         ratio, columns = change.get("ratio", 1.0), change["columns"]
         page.wait_until(f"devicePixelRatio === {ratio} && canvas.width === {columns}")
         assert eventually(lambda: (device.screen().pixel_ratio, device.screen().columns) == (ratio, columns))
-        with pytest.raises(DeviceError, match=sentence):
+        with operator_reads.raised(DeviceError):
             device.show(Frame(axis="x", levels=stripe(4)), frame_id=4, timeout_s=TIMEOUT_S)
         page.resize(columns=COLUMNS, rows=ROWS)
         assert eventually(lambda: (device.screen().pixel_ratio, device.screen().columns) == (1.0, COLUMNS))
         device.show(Frame(axis="x", levels=stripe(4)), frame_id=4, timeout_s=TIMEOUT_S)
 
 
-def test_a_pinched_page_suspends_the_run(browser: Browser, tmp_path: Path) -> None:
+def test_a_pinched_page_suspends_the_run(operator_reads: OperatorReads, browser: Browser, tmp_path: Path) -> None:
     with playing(browser, tmp_path) as (device, page):
         device.show(Frame(axis="x", levels=stripe(3)), frame_id=3, timeout_s=TIMEOUT_S)
         page.call("Emulation.setPageScaleFactor", pageScaleFactor=1.5)
         page.wait_until("visualViewport.scale > 1.4")
-        with pytest.raises(DeviceError, match=r"zoomed in by 1\.50; pinch it back"):
+        with operator_reads.raised(DeviceError):
             device.show(Frame(axis="x", levels=stripe(4)), frame_id=4, timeout_s=TIMEOUT_S)
         page.call("Emulation.setPageScaleFactor", pageScaleFactor=1.0)
         report = device.report
@@ -231,19 +239,23 @@ def test_a_pinched_page_suspends_the_run(browser: Browser, tmp_path: Path) -> No
         device.show(Frame(axis="x", levels=stripe(4)), frame_id=4, timeout_s=TIMEOUT_S)
 
 
-def test_a_page_that_goes_to_the_background_suspends_the_run(browser: Browser, tmp_path: Path) -> None:
+def test_a_page_that_goes_to_the_background_suspends_the_run(
+    operator_reads: OperatorReads, browser: Browser, tmp_path: Path
+) -> None:
     with playing(browser, tmp_path) as (device, page):
         device.show(Frame(axis="x", levels=stripe(3)), frame_id=3, timeout_s=TIMEOUT_S)
         page.hide()
         assert eventually(lambda: not device.screen().visible)
-        with pytest.raises(DeviceError, match="hidden or the tablet sleeps; wake it"):
+        with operator_reads.raised(DeviceError):
             device.show(Frame(axis="x", levels=stripe(4)), frame_id=4, timeout_s=TIMEOUT_S)
         page.bring_back()
         assert eventually(lambda: device.screen().visible)
         device.show(Frame(axis="x", levels=stripe(4)), frame_id=4, timeout_s=TIMEOUT_S)
 
 
-def test_hiding_the_page_while_a_frame_is_on_its_way_ends_the_wait_at_once(browser: Browser, tmp_path: Path) -> None:
+def test_hiding_the_page_while_a_frame_is_on_its_way_ends_the_wait_at_once(
+    operator_reads: OperatorReads, browser: Browser, tmp_path: Path
+) -> None:
     with playing(browser, tmp_path) as (device, page):
         device.show(Frame(axis="x", levels=stripe(3)), frame_id=3, timeout_s=TIMEOUT_S)
         page.ask("window.requestAnimationFrame = () => 0")  # as on a tablet whose screen is off
@@ -260,33 +272,38 @@ def test_hiding_the_page_while_a_frame_is_on_its_way_ends_the_wait_at_once(brows
         page.wait_until("wanted.frame_id === 4")
         page.hide()
         waiting.join(TIMEOUT_S)
-        assert "hidden" in str(found[0])
+        operator_reads(found[0])
 
 
-def test_a_page_that_never_paints_is_a_timeout_and_not_a_photo(browser: Browser, tmp_path: Path) -> None:
+def test_a_page_that_never_paints_is_a_timeout_and_not_a_photo(
+    operator_reads: OperatorReads, browser: Browser, tmp_path: Path
+) -> None:
     with playing(browser, tmp_path) as (device, page):
         device.show(Frame(axis="x", levels=stripe(3)), frame_id=3, timeout_s=TIMEOUT_S)
         page.ask("window.requestAnimationFrame = () => 0")
-        with pytest.raises(DeviceTimeoutError, match=r"did not confirm frame 4 within 0\.5 s; wake the tablet"):
+        with operator_reads.raised(DeviceTimeoutError):
             device.show(Frame(axis="x", levels=stripe(4)), frame_id=4, timeout_s=0.5)
 
 
-def test_a_frame_without_a_page_says_where_to_open_it(browser: Browser, tmp_path: Path) -> None:
+def test_a_frame_without_a_page_says_where_to_open_it(
+    operator_reads: OperatorReads, browser: Browser, tmp_path: Path
+) -> None:
     with playing(browser, tmp_path) as (device, page):
         device.show(Frame(axis="x", levels=stripe(3)), frame_id=3, timeout_s=TIMEOUT_S)
         page.go_to("about:blank")
         assert eventually(lambda: device.report() is None)
-        with pytest.raises(DeviceTimeoutError, match=r"no page is connected.*open http://127\.0\.0\.1:\d+ with its QR"):
+        with operator_reads.raised(DeviceTimeoutError):
             device.show(Frame(axis="x", levels=stripe(4)), frame_id=4, timeout_s=0.2)
 
 
 def test_a_second_screen_is_refused_in_a_sentence_and_takes_over_when_the_first_has_gone(
-    browser: Browser, tmp_path: Path
+    operator_reads: OperatorReads, browser: Browser, tmp_path: Path
 ) -> None:
     with playing(browser, tmp_path) as (device, first):
         device.show(Frame(axis="x", levels=stripe(3)), frame_id=3, timeout_s=TIMEOUT_S)
         with browser.page(device.url(), columns=COLUMNS, rows=ROWS) as second:
             second.wait_until("document.getElementById('trouble')?.textContent.startsWith('Another screen')")
+            operator_reads(second.ask("document.getElementById('trouble').textContent"))
             device.show(Frame(axis="x", levels=stripe(4)), frame_id=4, timeout_s=TIMEOUT_S)
             np.testing.assert_array_equal(first.picture()[0, :, 0], stripe(4))
             assert second.ask("document.body.classList.contains('playing')") is False
@@ -294,7 +311,9 @@ def test_a_second_screen_is_refused_in_a_sentence_and_takes_over_when_the_first_
             second.wait_until("canvas.dataset.frame === '4'")
 
 
-def test_nobody_opening_the_page_is_said_after_the_address_was_announced(tmp_path: Path) -> None:
+def test_nobody_opening_the_page_is_said_after_the_address_was_announced(
+    operator_reads: OperatorReads, tmp_path: Path
+) -> None:
     announced: list[str] = []
     with StripePlayer(
         parse_address("127.0.0.1:0"),
@@ -303,7 +322,7 @@ def test_nobody_opening_the_page_is_said_after_the_address_was_announced(tmp_pat
         announce=announced.append,
         page_timeout_s=4.2,
     ) as device:
-        with pytest.raises(DeviceNotFoundError, match=r"nobody opened http://127\.0\.0\.1:\d+ within 4\.2 s; scan"):
+        with operator_reads.raised(DeviceNotFoundError):
             device.screen()
         (text,) = announced
         assert device.url() in text

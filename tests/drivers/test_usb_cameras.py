@@ -7,6 +7,7 @@ from typing import Any
 
 import pytest
 import usb.backend
+from faults_page import OperatorReads
 
 from drivers.errors import DeviceBusyError, DeviceNotFoundError
 from drivers.usb_cameras import (
@@ -89,15 +90,15 @@ def test_a_reset_returns_the_camera_with_its_new_address() -> None:
     assert find_usb_cameras(backend=bus) == (back,)
 
 
-def test_a_camera_that_is_not_there_cannot_be_reset() -> None:
-    with pytest.raises(DeviceNotFoundError, match="usb:001,009"):
+def test_a_camera_that_is_not_there_cannot_be_reset(operator_reads: OperatorReads) -> None:
+    with operator_reads.raised(DeviceNotFoundError):
         reset_usb_camera(UsbCamera(1, 9, CANON, CANON_40D), timeout_s=1.0, backend=FakeBus(CAMERA))
 
 
-def test_a_reset_that_the_system_refuses_says_so() -> None:
+def test_a_reset_that_the_system_refuses_says_so(operator_reads: OperatorReads) -> None:
     bus = FakeBus(CAMERA, refuses_reset=True)
     (camera,) = find_usb_cameras(backend=bus)
-    with pytest.raises(DeviceBusyError, match="plug it in again"):
+    with operator_reads.raised(DeviceBusyError):
         reset_usb_camera(camera, timeout_s=1.0, backend=bus)
 
 
@@ -109,8 +110,8 @@ def test_a_camera_is_awaited_until_it_is_back() -> None:
     assert wait_for_usb_camera(gone, timeout_s=10.0, find=lambda: next(looks)) == back
 
 
-def test_a_camera_that_does_not_come_back_is_an_error() -> None:
-    with pytest.raises(DeviceNotFoundError, match="switch it off and on"):
+def test_a_camera_that_does_not_come_back_is_an_error(operator_reads: OperatorReads) -> None:
+    with operator_reads.raised(DeviceNotFoundError):
         wait_for_usb_camera(UsbCamera(1, 5, CANON, CANON_40D), timeout_s=0.1, find=lambda: ())
 
 
@@ -140,16 +141,16 @@ def test_this_very_process_is_found_holding_a_file(tmp_path: Path) -> None:
 
 
 def test_a_missing_permission_comes_with_the_rule_that_gives_it(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+    operator_reads: OperatorReads, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     camera = UsbCamera(1, 5, CANON, CANON_40D)
-    assert "plug the camera in again" in str(permission_fault(camera, usb_devices=tmp_path))
+    operator_reads(permission_fault(camera, usb_devices=tmp_path))
     node = tmp_path / "001" / "005"
     node.parent.mkdir()
     node.touch()
     assert permission_fault(camera, usb_devices=tmp_path) is None
     monkeypatch.setattr(os, "access", lambda _path, _mode: False)  # root may do everything
-    assert RULE_FILE.name in str(permission_fault(camera, usb_devices=tmp_path))
+    operator_reads(permission_fault(camera, usb_devices=tmp_path))
 
 
 def test_the_rule_is_one_line_for_still_image_interfaces() -> None:

@@ -35,7 +35,8 @@ def started(tmp_path_factory: pytest.TempPathFactory) -> Iterator[DoctorBench]:
 
 
 @pytest.fixture
-def bench(started: DoctorBench) -> Iterator[DoctorBench]:
+def bench(started: DoctorBench, monkeypatch: pytest.MonkeyPatch) -> Iterator[DoctorBench]:
+    monkeypatch.setenv("XDG_STATE_HOME", str(started.file.parent / "state"))  # where the tablet's token is
     text = started.file.read_text(encoding="utf-8")
     yield started
     started.file.write_text(text, encoding="utf-8")
