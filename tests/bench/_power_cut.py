@@ -181,18 +181,23 @@ def _torn(file: File, rng: random.Random) -> bytes:
 
 
 class RecordingDisk(Disk):
-    """The real disk, and a record of what is done to the files under ``root``; ``on_operation`` is called before each."""
+    """The real disk, and a record of what is done to the files under ``root``; ``on_operation`` is called before each.
 
-    def __init__(self, root: Path, on_operation: Callable[[], None]) -> None:
+    Operations of the kind ``forgotten`` are not in the record, as if the program had left them out.
+    """
+
+    def __init__(self, root: Path, on_operation: Callable[[], None], *, forgotten: str = "") -> None:
         super().__init__(durable=False)  # the record says what was flushed; the disk need not do it
         self._root = root
+        self._forgotten = forgotten
         self._on_operation = on_operation
         self._numbers: dict[int, int] = {}
         self.operations: list[Operation] = []
 
     def _take_down(self, operation: Operation) -> None:
-        self._on_operation()
-        self.operations.append(operation)
+        if operation.kind != self._forgotten:
+            self._on_operation()
+            self.operations.append(operation)
 
     def _place(self, path: Path) -> str:
         return path.relative_to(self._root).as_posix()

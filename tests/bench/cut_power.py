@@ -4,7 +4,8 @@ Every file operation of a capture is recorded, with the tank, the stage and the 
 the record up to a random operation and keeps of it only what was flushed, and of the rest a random part (``_power_cut``): then
 the session is resumed on a rig whose pump stopped and whose stage has forgotten its place. Some sessions lose their power again
 while they are resumed; some are killed first, so that what was written and not flushed is seen by the next program and only
-then lost.
+then lost. ``--without flush`` shows what would be lost if files were not flushed, ``--without flush_folder`` if their names were
+not.
 """
 
 import argparse
@@ -21,6 +22,7 @@ from typing import Any
 from rich.console import Console
 
 import recon.session
+from recon.errors import SessionError
 from recon.session import SessionWriter
 from rig.capture import capture
 from rig.config import RigConfig
@@ -62,6 +64,7 @@ class Bench:
     config: RigConfig
     scene: Scene
     photographer: Photographer
+    without: str
 
 
 def record_capture(bench: Bench, root: Path, world_state: WorldState, shutter: list[str]) -> Record:
@@ -89,7 +92,7 @@ def record_capture(bench: Bench, root: Path, world_state: WorldState, shutter: l
 
         watched: Any = world
         watched.look = logged
-        disk = RecordingDisk(root, moment)
+        disk = RecordingDisk(root, moment, forgotten=bench.without)
         devices = simulated_devices(bench.config, world, bench.photographer)
         for device in (devices.camera, devices.display, devices.stage, devices.pump, devices.level_sensor):
             if device is not None:
@@ -145,7 +148,11 @@ class Session:
         self._compare(root, moment)
         at = self._record.operations[number].kind
         self._model = model
-        self._record = record_capture(self._bench, root, world, self._shutter)
+        try:
+            self._record = record_capture(self._bench, root, world, self._shutter)
+        except SessionError as lost:
+            self.faults.append(f"cannot be resumed: {lost}")
+            return at
         if tree_of(root) != model.after(self._record.operations).seen():
             self.faults.append("the record does not tell all that was done to the files")
         return at
@@ -164,6 +171,8 @@ class Session:
 
     def verdict(self) -> list[str]:
         """Return what is wrong with the session after its last run."""
+        if self.faults:
+            return self.faults
         root = self._folder / f"{self._runs - 1}"
         world = self._record.moments[-1].world
         self.faults += self._judge.faults(root / "session", self._log(), self._good)
@@ -186,11 +195,12 @@ def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument("--sessions", type=int, default=200)
     parser.add_argument("--seed", type=int, default=1)
+    parser.add_argument("--without", choices=("flush", "flush_folder"), default="", help="what to leave out")
     given = parser.parse_args()
     rng = random.Random(given.seed)
     scene = open_scene("semi_ellipsoid", OPTIONS)
     config = config_of_scene(scene, OPTIONS)
-    bench = Bench(config, scene, Photographer(scene))
+    bench = Bench(config, scene, Photographer(scene), given.without)
     cut_at: Counter[str] = Counter()
     kills = in_vain = 0
     faults: dict[int, list[str]] = {}
@@ -208,6 +218,8 @@ def main() -> None:
             session = Session(bench, judge, home, begun)
             log = shutter
             for cut in rng.choice([(True,), (True,), (True, True), (False, True), (False, False, True)]):
+                if session.faults:
+                    break
                 at = session.end_by_force(rng, cut=cut, shutter=log)
                 log = session.shutter
                 if cut:
