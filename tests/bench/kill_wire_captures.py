@@ -82,7 +82,7 @@ class Surroundings:
         self.clock = clock
         self._line = Client(address)
 
-    def show(self, frame: Frame, *, frame_id: int | None) -> None:
+    def show(self, frame: Frame, *, frame_id: int | None, **_: object) -> None:
         """Put a frame on the glass."""
         self._ask("show", frame, frame_id)
 
