@@ -11,9 +11,10 @@ from drivers.camera_settings import RefusedError
 
 BUSY = -110
 BUSY_PAUSES_S = (0.1, 0.2, 0.4, 0.8, 1.6, 3.2)
-# Generic PTP cameras answer "no event" at once, whatever time they are given.
-POLL_S = 0.002
-WAIT_MS = 100
+# How often the camera is asked for news. libgphoto2 itself asks an EOS every 50 to 200 ms, which is a tenth of a photo, and
+# returns from a generic PTP camera at once, whatever time it is given.
+POLL_S = 0.01
+WAIT_MS = 1
 # Of the time for a photo, the share spent on waiting for one that came too late for the photo before.
 DEBT_SHARE = 1 / 3
 Path = tuple[str, str]
@@ -189,7 +190,7 @@ class OpenCamera:
         left_s = end_s - time.monotonic()
         if left_s <= 0:
             raise LateError("no photo came; allow more time than the exposure takes, and look at focus and card")
-        kind, data = self._camera.wait_for_event(max(1, min(WAIT_MS, int(1000 * left_s))))
+        kind, data = self._camera.wait_for_event(WAIT_MS)
         if kind == self.gp.GP_EVENT_FILE_ADDED:
             return [(data.folder, data.name)]
         if kind == self.gp.GP_EVENT_TIMEOUT:

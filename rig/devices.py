@@ -149,7 +149,15 @@ def open_emulated_devices(config: RigConfig, simulation: Simulation) -> Iterator
     with ExitStack() as stack:
         world = stack.enter_context(open_world(config, simulation))
         optics = Photographer(simulation.scene)
-        rig = stack.enter_context(emulate_rig(config, world, optics, exposure_s=exposure_s, download_s=download_s))
+        emulated = emulate_rig(
+            config,
+            world,
+            optics,
+            camera_model=simulation.camera_model,
+            exposure_s=exposure_s,
+            download_s=download_s,
+        )
+        rig = stack.enter_context(emulated)
         player = real_display(
             rig.config, kind="emulated", keep=Path(stack.enter_context(TemporaryDirectory(prefix="display-")))
         )

@@ -16,7 +16,7 @@ from sim_backend.chromium import Chromium
 from sim_backend.exposure import TakesPhotos
 from sim_backend.grbl_emulator import GrblEmulator
 from sim_backend.new_era_emulator import NewEraEmulator
-from sim_backend.ptpip.process import EmulatedCamera, emulate_camera
+from sim_backend.ptpip.process import EmulatedCamera, Model, emulate_camera
 from sim_backend.ptpip.world_photos import WorldPhotos
 from sim_backend.wire import PtyServer
 from sim_backend.world import World
@@ -37,7 +37,13 @@ class EmulatedRig:
 
 @contextmanager
 def emulate_rig(
-    config: RigConfig, world: World, optics: TakesPhotos, *, exposure_s: float = 0.0, download_s: float = 0.0
+    config: RigConfig,
+    world: World,
+    optics: TakesPhotos,
+    *,
+    camera_model: Model = "generic",
+    exposure_s: float = 0.0,
+    download_s: float = 0.0,
 ) -> Iterator[EmulatedRig]:
     """Start an emulator of every device that ``config`` needs; they end with the context.
 
@@ -54,7 +60,9 @@ def emulate_rig(
         chromium = stack.enter_context(Chromium())
         tablet = BrowserTablet(chromium, columns=config.display.columns, rows=config.display.rows)
         eyes = TabletPhotos(world, optics, tablet)
-        camera = stack.enter_context(emulate_camera(eyes, exposure_s=exposure_s, download_s=download_s))
+        camera = stack.enter_context(
+            emulate_camera(eyes, model=camera_model, exposure_s=exposure_s, download_s=download_s)
+        )
         stage = stack.enter_context(PtyServer(GrblEmulator(world, travel_mm=config.stage.travel_mm)))
         pump_address = ""
         if config.tank is not None and config.tank.has_pump:

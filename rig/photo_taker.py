@@ -86,8 +86,8 @@ class PhotoTaker:
             raise DiskLowError(no_room)
         with part_of_rig("camera"):
             self._freeze.for_set(photo.set_name)
-        files, frame_tag = self._sound(photo, following)
-        self._save(photo, files, frame_tag)
+        files, device = self._sound(photo, following)
+        self._save(photo, files, device)
         fault, self._display_fault = self._display_fault, None
         if fault is not None:
             raise fault
@@ -97,8 +97,8 @@ class PhotoTaker:
         self._guard.check("photo")
         return self._sound(photo, None)[0]
 
-    def _sound(self, photo: TakePhoto, following: TakePhoto | None) -> tuple[tuple[Photo, ...], int | None]:
-        """Return the files and the tag of a photo, after as many attempts as it needs and may have."""
+    def _sound(self, photo: TakePhoto, following: TakePhoto | None) -> tuple[tuple[Photo, ...], dict[str, object]]:
+        """Return the files of a photo and their record, after as many attempts as it needs and may have."""
         for attempt in range(1, PHOTO_ATTEMPTS + 1):
             try:
                 return self._taken(photo, following)
@@ -117,8 +117,8 @@ class PhotoTaker:
                 self._wait(RETRY_PAUSE_S)
         raise AssertionError("the last attempt returns or raises")
 
-    def _taken(self, photo: TakePhoto, following: TakePhoto | None) -> tuple[tuple[Photo, ...], int | None]:
-        """Show, wait, expose; show the next frame while this photo is downloaded; return its files and its tag."""
+    def _taken(self, photo: TakePhoto, following: TakePhoto | None) -> tuple[tuple[Photo, ...], dict[str, object]]:
+        """Show, wait, expose; then all that can be done while the photo is downloaded; return its files and their record."""
         self._discard_uncollected()
         if self._shown != photo.frame_id:
             self._show(photo)
@@ -132,6 +132,7 @@ class PhotoTaker:
                 self._show(following)
             except DeviceError as fault:
                 self._display_fault = fault
+        device: dict[str, object] = {"frame_id": photo.frame_id, "stage_mm": self._stage.check_position_mm()}
         with _spoils_the_photo(), part_of_rig("camera"):
             files = self._devices.camera.collect(timeout_s=PHOTO_TIMEOUT_S)
             self._uncollected = False
@@ -139,7 +140,8 @@ class PhotoTaker:
             if not files:
                 raise DeviceProtocolError(f"camera: no file for {name}")
             check_exposure(files, self._freeze.settings, name=name)
-            return files, self._tag_check.check(photo, files)
+            frame_tag = self._tag_check.check(photo, files)
+        return files, device if frame_tag is None else {**device, "frame_tag": frame_tag}
 
     def _discard_uncollected(self) -> None:
         """Take from the camera what an earlier attempt left in it, so that it is not taken for the next photo."""
@@ -160,10 +162,7 @@ class PhotoTaker:
         self._shown = photo.frame_id
         self._shown_at_s = self._devices.clock.now_s()
 
-    def _save(self, photo: TakePhoto, files: tuple[Photo, ...], frame_tag: int | None) -> None:
-        device: dict[str, object] = {"frame_id": photo.frame_id, "stage_mm": self._stage.check_position_mm()}
-        if frame_tag is not None:
-            device["frame_tag"] = frame_tag
+    def _save(self, photo: TakePhoto, files: tuple[Photo, ...], device: dict[str, object]) -> None:
         # Of a RAW and its JPEG, the JPEG comes last: the last line of the journal is the photo that is read.
         for file in sorted(files, key=lambda file: file.suffix.lower() in (".jpg", ".jpeg")):
             self._writer.save_photo(

@@ -11,6 +11,7 @@ from drivers.protocols import Clock, Frame
 from rig.config import RigConfig
 from rig.steps import Request
 from sim_backend.clock import RealClock, SimulatedClock
+from sim_backend.ptpip.process import Model
 from sim_backend.scene import Scene
 from sim_backend.world import TankSize, World, WorldState
 from sim_backend.world_file import WorldFile, after_restart, load_state
@@ -20,13 +21,14 @@ from sim_backend.world_file import WorldFile, after_restart, load_state
 class Simulation:
     """How to simulate: the scene, whether time passes as in a lab, and where the tank's state is kept between runs.
 
-    ``wire``: the real drivers drive emulated devices, in place of simulated ones.
+    ``wire``: the real drivers drive emulated devices, in place of simulated ones; ``camera_model`` is the camera then.
     """
 
     scene: Scene
     real_time: bool = False
     state_file: Path | None = None
     wire: bool = False
+    camera_model: Model = "generic"
 
 
 @contextmanager

@@ -149,13 +149,20 @@ class Body:
         return True
 
     def open_and_close_shutter(self) -> float:
-        """See the scene for ``exposure_s``; return when the shutter closed, a time of :func:`time.monotonic`."""
-        end_s = time.monotonic() + self.exposure_s
+        """See the scene for ``exposure_s``; return when the shutter closed, a time of :func:`time.monotonic`.
+
+        A look may take its time here, as at a page in a browser, which the camera that is emulated does not need: the last
+        one begins so early that it ends about when the shutter closes.
+        """
+        start_s = time.monotonic()
+        end_s = start_s + self.exposure_s
         if self.exposure_s > 0:
             self._photographs.open_shutter()
-        time.sleep(max(0.0, end_s - time.monotonic()))
+        look_s = time.monotonic() - start_s
+        time.sleep(max(0.0, end_s - look_s - time.monotonic()))
         self._photographs.close_shutter()
-        return time.monotonic()
+        time.sleep(max(0.0, end_s - time.monotonic()))
+        return end_s
 
     def develop(self) -> bytes:
         """Return the file of what was seen while the shutter was open."""

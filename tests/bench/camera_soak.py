@@ -272,7 +272,8 @@ def table(results: dict[str, dict[str, dict]]) -> str:
             injected = sum(fault["injected"] for fault in found["faults"].values())
             lines.append(
                 f"| {model} | {mode} | {found['photos']} | {found['of_the_wrong_frame']} | "
-                f"{found['right_frame_released_by_hand']} | {found['shutter_releases']} | {injected} | {found['slowest_photo_s']} |"
+                f"{found['right_frame_released_by_hand']} | {found['shutter_releases']} | {injected} | "
+                f"{found['slowest_photo_s']} |"
             )
             for name, fault in found["faults"].items():
                 faults[name].injected += fault["injected"]
