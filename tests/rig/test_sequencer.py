@@ -232,19 +232,19 @@ def test_an_interrupt_during_the_fill_stops_the_pump_at_once(open_bench, config,
 
 def test_a_stage_that_was_pushed_stops_the_capture(open_bench, config, scene, quiet, tmp_path) -> None:
     with open_bench(config, scene) as (devices, world):
-        collect = devices.camera.collect
+        expose = devices.camera.expose
         photos = iter(range(100))
 
-        def pushed(*, timeout_s: float) -> tuple[Photo, ...]:
+        def pushed(*, timeout_s: float) -> None:
             if next(photos) == 5:
                 world.start_motion(world.stage_mm() + 0.5, velocity_mm_per_s=1000.0)
-            return collect(timeout_s=timeout_s)
+            expose(timeout_s=timeout_s)
 
         with pytest.raises(CaptureError, match="moved it"):
             capture(
                 config,
                 tmp_path / "session",
-                devices=dataclasses.replace(devices, camera=Wrapped(devices.camera, collect=pushed)),
+                devices=dataclasses.replace(devices, camera=Wrapped(devices.camera, expose=pushed)),
                 scene=scene,
                 resume=False,
                 console=quiet,
