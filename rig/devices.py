@@ -146,18 +146,11 @@ def open_emulated_devices(config: RigConfig, simulation: Simulation) -> Iterator
     """
     exposure_s = EXPOSURE_FRACTION * config.timing.photo_s if simulation.real_time else 0.0
     download_s = config.timing.photo_s - exposure_s if simulation.real_time else 0.0
+    times_s = {"exposure_s": exposure_s, "download_s": download_s}
     with ExitStack() as stack:
         world = stack.enter_context(open_world(config, simulation))
         optics = Photographer(simulation.scene)
-        emulated = emulate_rig(
-            config,
-            world,
-            optics,
-            camera_model=simulation.camera_model,
-            exposure_s=exposure_s,
-            download_s=download_s,
-        )
-        rig = stack.enter_context(emulated)
+        rig = stack.enter_context(emulate_rig(config, world, optics, camera_model=simulation.camera_model, **times_s))
         player = real_display(
             rig.config, kind="emulated", keep=Path(stack.enter_context(TemporaryDirectory(prefix="display-")))
         )
