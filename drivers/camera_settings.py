@@ -27,6 +27,14 @@ def read_setting(gp: Any, camera: Any, name: str) -> str | None:
     return None if widget is None else str(widget.get_value()).strip()
 
 
+def read_choices(gp: Any, camera: Any, name: str) -> tuple[str, ...]:
+    """Return the values that a setting may take; empty where it has no list of them, or only the body can change it."""
+    widget = find_setting(gp, camera, name)
+    if widget is None or widget.get_readonly() or widget.get_type() not in (gp.GP_WIDGET_RADIO, gp.GP_WIDGET_MENU):
+        return ()
+    return tuple(str(choice) for choice in widget.get_choices())
+
+
 def apply_settings(
     gp: Any, camera: Any, settings: Mapping[str, str], *, patiently: Callable[[Callable[[], Any]], None]
 ) -> dict[str, str]:

@@ -26,6 +26,7 @@ OPERATIONS = frozenset(
         "close",
         "settings",
         "apply",
+        "choices",
         "expose",
         "release",
         "fetch",

@@ -112,6 +112,12 @@ class Gphoto2Camera:
         settings: dict[str, str] = self._asked("settings", doing="its settings", limit_s=SETTINGS_S, names=names)
         return settings
 
+    def setting_choices(self, name: str) -> tuple[str, ...]:
+        """The values that the body offers for a setting, in libgphoto2's words; empty where only the body can change it."""
+        self._link.opened()
+        choices: tuple[str, ...] = self._asked("choices", doing=f"the choices of {name}", limit_s=SETTINGS_S, name=name)
+        return choices
+
     def battery(self) -> str:
         """The battery's charge in the camera's own words, such as ``75%``; empty where it does not tell."""
         found: dict[str, str] = self._asked(

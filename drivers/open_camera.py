@@ -107,6 +107,10 @@ class OpenCamera:
         values = {name: camera_settings.read_setting(self.gp, self._camera, name) for name in names}
         return {name: value for name, value in values.items() if value is not None}
 
+    def choices(self, *, name: str) -> tuple[str, ...]:
+        """Return the values that a setting may take."""
+        return camera_settings.read_choices(self.gp, self._camera, name)
+
     def apply(self, *, settings: dict[str, str]) -> dict[str, str]:
         """Set and read back; nothing is set unless every name and value is one that the camera has."""
         return camera_settings.apply_settings(self.gp, self._camera, settings, patiently=self._patiently)

@@ -116,6 +116,10 @@ class Camera(Device, Protocol):
         """The exposure settings read back from the camera."""
         ...
 
+    def setting_choices(self, name: str) -> tuple[str, ...]:
+        """The values that the body offers for a setting; empty where it has no such list, or only the body can change it."""
+        ...
+
     def apply_settings(self, settings: dict[str, str]) -> None:
         """Freeze these settings and read them back; raises ``DeviceProtocolError`` where one did not take."""
         ...

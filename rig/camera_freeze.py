@@ -14,16 +14,21 @@ EVENT = "camera_frozen"
 class CameraFreeze:
     """Sets what is configured, and refuses what differs from the sets before, those of an interrupted capture included.
 
-    ``settings`` are those of the present set, read back.
+    ``wanted`` is what is set; ``settings`` are those of the present set, read back.
     """
 
     def __init__(self, camera: Camera, writer: SessionWriter, wanted: Mapping[str, str]) -> None:
         self._camera = camera
         self._journal = writer.journal
-        self._wanted = dict(wanted)
+        self.wanted = dict(wanted)
         self._before = _last_frozen(writer)
         self._set_name = ""
         self.settings: dict[str, str] = {}
+
+    def want(self, settings: Mapping[str, str]) -> None:
+        """Set these as well, from now on."""
+        self.wanted |= settings
+        self._set_name = ""
 
     def for_set(self, set_name: str) -> None:
         """Set, read back, compare, and write down the camera's settings, where a set begins or goes on.
@@ -37,7 +42,7 @@ class CameraFreeze:
         """
         if set_name == self._set_name:
             return
-        self._camera.apply_settings(self._wanted)
+        self._camera.apply_settings(self.wanted)
         found = self._camera.settings()
         for name, before in (self._before or found).items():
             now = found.get(name)

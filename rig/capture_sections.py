@@ -20,6 +20,20 @@ class Scan(Part):
     seen_px: tuple[PhotoPixel, PhotoPixel, PhotoPixel, PhotoPixel] | None = None
 
 
+class AutoExposure(Part):
+    """The camera's exposure time is chosen before the first set, from what the body offers for ``setting``.
+
+    ``brightest_share`` is how far the white photo may reach into the range of counts: what is left is for the liquid, with
+    which photos can be brighter. ``darkest_share`` is where a set is called too dark. ``seen_px`` as in the scan.
+    """
+
+    setting: str = "shutterspeed"
+    refresh_hz: Positive = 60.0
+    brightest_share: Annotated[float, Field(gt=0, lt=1)] = 0.75
+    darkest_share: Share = 0.2
+    seen_px: tuple[PhotoPixel, PhotoPixel, PhotoPixel, PhotoPixel] | None = None
+
+
 class Live(Part):
     """Each sweep is decoded while the next is photographed, and one beyond these limits is photographed again.
 

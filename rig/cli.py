@@ -69,6 +69,7 @@ def capture(
     seed: options.SeedOption = None,
     scan: options.ScanOption = False,
     live: options.LiveOption = False,
+    auto_exposure: options.AutoExposureOption = False,
     watch: options.WatchOption = False,
     state: options.StateOption = None,
     real_time: options.RealTimeOption = False,
@@ -90,7 +91,9 @@ def capture(
     if sim and sim_wire:
         raise ConfigError("--sim and --sim-wire are two ways to rehearse; leave out one of them")
     sim = sim or sim_wire
-    changes = SceneOptions(profile, width_px, step_px, order, size, display_columns, seed, scan, live, watch)
+    changes = SceneOptions(
+        profile, width_px, step_px, order, size, display_columns, seed, scan, live, watch, auto_exposure
+    )
     if resume:
         if config is not None or scene is not None or changes != SceneOptions():
             raise ConfigError(

@@ -28,7 +28,7 @@ from recon.manifest import (
     ScannedObject,
     StripePattern,
 )
-from rig.capture_sections import Live, Scan, Watch
+from rig.capture_sections import AutoExposure, Live, Scan, Watch
 from rig.errors import ConfigError
 
 NotNegative = Annotated[float, Field(ge=0, allow_inf_nan=False)]
@@ -79,6 +79,7 @@ class Capture(Part):
     stripe: Stripe
     swept: SweptArea
     scan: Scan | None = None
+    auto_exposure: AutoExposure | None = None
 
 
 class Tank(Part):
@@ -236,14 +237,15 @@ class RigConfig(Part):
         return self
 
     @model_validator(mode="after")
-    def _scan_looks_at_the_photo(self) -> Self:
-        seen_px = self.capture.scan.seen_px if self.capture.scan else None
-        if seen_px is not None:
-            left, top, right, bottom = seen_px
+    def _what_counts_lies_in_the_photo(self) -> Self:
+        for name, section in (("scan", self.capture.scan), ("auto_exposure", self.capture.auto_exposure)):
+            if section is None or section.seen_px is None:
+                continue
+            left, top, right, bottom = section.seen_px
             if not (left < right < self.camera.columns and top < bottom < self.camera.rows):
                 raise ValueError(
-                    f"capture.scan.seen_px is {list(seen_px)}; give first column, first row, last column and last row "
-                    f"within photos of {self.camera.columns} × {self.camera.rows}"
+                    f"capture.{name}.seen_px is {list(section.seen_px)}; give first column, first row, last column and last "
+                    f"row within photos of {self.camera.columns} × {self.camera.rows}"
                 )
         return self
 

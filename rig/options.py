@@ -67,6 +67,9 @@ LiveOption = Annotated[
         "--live", help="Decode each sweep while the next is photographed, and take a bad one again while it can be."
     ),
 ]
+AutoExposureOption = Annotated[
+    bool, typer.Option("--auto-exposure", help="Choose the camera's exposure time before the first set.")
+]
 SeedOption = Annotated[int | None, typer.Option("--seed", min=0, help="Seed of the simulated noise.")]
 WatchOption = Annotated[
     bool,

@@ -1,7 +1,7 @@
 """One photo of a capture: shown, settled, exposed, downloaded, checked and saved; a spoiled one is taken again."""
 
 import math
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Mapping
 from contextlib import contextmanager, suppress
 
 from drivers.errors import DeviceBusyError, DeviceError, DeviceProtocolError
@@ -142,6 +142,15 @@ class PhotoTaker:
             check_exposure(files, self._freeze.settings, name=name)
             frame_tag = self._tag_check.check(photo, files)
         return files, device if frame_tag is None else {**device, "frame_tag": frame_tag}
+
+    @property
+    def camera_settings(self) -> Mapping[str, str]:
+        """What the camera is set to for every set."""
+        return self._freeze.wanted
+
+    def set_camera(self, settings: Mapping[str, str]) -> None:
+        """Freeze the camera with these settings as well, beside those of the configuration."""
+        self._freeze.want(settings)
 
     def _discard_uncollected(self) -> None:
         """Take from the camera what an earlier attempt left in it, so that it is not taken for the next photo."""

@@ -17,6 +17,7 @@ from rig.config import RigConfig, Tank, longest_run_s
 from rig.reference_plan import with_references
 from rig.steps import (
     AskOperator,
+    ChooseExposure,
     DrainTank,
     FillTank,
     FindSweptRange,
@@ -135,6 +136,8 @@ def plan_capture(
         if place[1] in ("with", "without") and object_present != (place[1] == "with"):
             object_present = place[1] == "with"
             steps.append(_ask_for_object(object_present, config.object.name))
+        if config.capture.auto_exposure is not None and not done and place == set_order(config)[0]:
+            steps.append(ChooseExposure(photos[0]))
         unknown = any(config.scan_bits(axis) and (set_name(place), axis) not in ranges for axis in AXES)
         steps += _photograph(photos, find_range=unknown)
         steps += to_judge

@@ -56,6 +56,7 @@ class SceneOptions:
     scan: bool = False
     live: bool = False
     watch: bool = False
+    auto_exposure: bool = False
 
 
 def open_scene(name_or_path: str, options: SceneOptions) -> Scene:
@@ -105,6 +106,7 @@ def config_of_scene(scene: Scene, options: SceneOptions) -> RigConfig:
                     "last_row_px": scene.display.rows - 1,
                 },
                 "scan": {} if options.scan else None,
+                "auto_exposure": {"setting": "shutter"} if options.auto_exposure else None,
             },
             "live": _live(scene) if options.live else None,
             "watch": watch_of_scene(scene) if options.watch else None,

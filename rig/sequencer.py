@@ -15,6 +15,7 @@ from rig.causes import part_of_rig
 from rig.config import RigConfig
 from rig.devices import Devices
 from rig.errors import CaptureError, NotStoppedError, SceneMovedError
+from rig.exposure_keeper import ExposureKeeper
 from rig.guard import Guard
 from rig.known import Known, SweepKey
 from rig.live_capture import LiveCapture
@@ -25,6 +26,7 @@ from rig.scene_watch import SceneWatch
 from rig.stage_moves import StageMoves
 from rig.steps import (
     AskOperator,
+    ChooseExposure,
     DrainTank,
     FillTank,
     FindSweptRange,
@@ -77,7 +79,18 @@ class Sequencer:
         self.photos = PhotoTaker(devices, writer, config, stage=self.stage, guard=guard, wait=self._wait)
         watch = config.watch
         self._watch = SceneWatch(watch, config, writer, clock=devices.clock) if watch else None
+        self._exposure = self._exposure_keeper()
         self.object_present: bool | None = None
+
+    def _exposure_keeper(self) -> ExposureKeeper | None:
+        wanted = self._config.capture.auto_exposure
+        if wanted is None:
+            return None
+        keeper = ExposureKeeper(
+            wanted, self._config, self._devices.camera, self._writer, self.photos, progress=self._progress
+        )
+        keeper.resume()
+        return keeper
 
     def run(self, plan: Sequence[Step]) -> None:
         """Run every step; however it ends, pump and stage stand still afterwards and the journal says so."""
@@ -104,9 +117,9 @@ class Sequencer:
                 f"display: {panel.columns} × {panel.rows} device pixels configured, it has {screen.columns} × "
                 f"{screen.rows}; correct section [display], or the display's zoom and rotation"
             )
-        if self._config.camera.settings:
+        if self.photos.camera_settings:
             with part_of_rig("camera"):
-                self._devices.camera.apply_settings(self._config.camera.settings)
+                self._devices.camera.apply_settings(dict(self.photos.camera_settings))
         self.photos.forget_frame()
 
     def come_to_rest(self) -> None:
@@ -146,7 +159,12 @@ class Sequencer:
                 self.photos.take(step, following if isinstance(following, TakePhoto) else None)
                 if self._live is not None:
                     self._live.photo_saved(step, following)
+                if self._exposure is not None and step.sweep == "white":
+                    self._exposure.look_at(step)
                 self._look_at_scene(step)
+            case ChooseExposure():
+                if self._exposure is not None:
+                    self._exposure.choose(step.white)
             case FindSweptRange():
                 find_swept_range(step.set_name, self._writer, self._config, self._known)
                 raise PlanAgain

@@ -88,6 +88,13 @@ class TakePhoto:
 
 
 @dataclass(frozen=True, slots=True)
+class ChooseExposure:
+    """Choose the camera's exposure time with photos of the white display, before the first photo that is kept."""
+
+    white: TakePhoto
+
+
+@dataclass(frozen=True, slots=True)
 class FindSweptRange:
     """Read from the photos of a set's scan which part of the display is seen, and plan the set's sweeps again."""
 
@@ -110,6 +117,7 @@ Step = (
     | AskOperator
     | StartSweep
     | TakePhoto
+    | ChooseExposure
     | FindSweptRange
     | JudgeSet
 )
@@ -147,6 +155,8 @@ def step_text(step: Step) -> str:
             return f"sweep {step.set_name} along {step.axis}: {step.count} photos"
         case TakePhoto():
             return f"photo {step.set_name} {step.sweep} {step.index}"
+        case ChooseExposure():
+            return "choose the camera's exposure time"
         case FindSweptRange():
             return f"find the part of the display that {step.set_name} sees"
         case JudgeSet():

@@ -10,9 +10,21 @@ from sim_backend.exif import Exposure, with_exif
 from sim_backend.exposure import TakesPhotos, WorldExposure
 from sim_backend.world import World
 
-# What can be set on this body. The scene fixes how bright a photo is, whatever is set; it stands in the photo, as any camera
-# writes it there. Where the scene's display changes with time, the shutter is open for as long as it is set to.
+# What can be set on this body, and stands in its photos. The scene's own brightness is that of these settings; others get more
+# or less light. Where the scene's display changes with time, the shutter is open for as long as it is set to.
 DEFAULT_SETTINGS = {"shutter": "1/4", "aperture": "8", "iso": "100", "white_balance": "daylight", "focus": "manual"}
+# The shutter's times, by thirds of a stop, in the words of cameras.
+SHORT_TIMES = "1/125 1/100 1/80 1/60 1/50 1/40 1/30 1/25 1/20 1/15 1/13 1/10 1/8 1/6 1/5 1/4"
+LONG_TIMES = "0.3 0.4 0.5 0.6 0.8 1 1.3 1.6 2 2.5 3.2 4"
+
+
+def light_of_settings(settings: Mapping[str, str]) -> Fraction:
+    """Return how many times the light of ``DEFAULT_SETTINGS`` reaches the sensor: time, sensitivity, area of the aperture."""
+
+    def ratio(name: str) -> Fraction:
+        return Fraction(settings[name]) / Fraction(DEFAULT_SETTINGS[name])
+
+    return ratio("shutter") * ratio("iso") / ratio("aperture") ** 2
 
 
 def developed(photo: bytes, settings: Mapping[str, str]) -> bytes:
@@ -44,6 +56,10 @@ class SimulatedCamera:
     def settings(self) -> dict[str, str]:
         """The settings as they stand."""
         return dict(self._settings)
+
+    def setting_choices(self, name: str) -> tuple[str, ...]:
+        """The values that this body offers."""
+        return tuple(f"{SHORT_TIMES} {LONG_TIMES}".split()) if name == "shutter" else ()
 
     def apply_settings(self, settings: dict[str, str]) -> None:
         """Take over these settings; raises ``DeviceProtocolError`` for one that this camera does not have."""
@@ -83,7 +99,8 @@ class SimulatedCamera:
             raise DeviceProtocolError("camera: a photo was asked for, but none was taken; expose first")
         self._wait(self._download_s, timeout_s=timeout_s, what="the download")
         self._exposed = False
-        data = developed(self._exposure.develop(), self._settings_of_photo())
+        settings = self._settings_of_photo()
+        data = developed(self._exposure.develop(light=float(light_of_settings(settings))), settings)
         self._count += 1
         return (Photo(data, ".jpg", f"sim{self._count:05d}.jpg"),)
 

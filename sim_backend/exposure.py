@@ -36,8 +36,9 @@ class TakesPhotos(Protocol):
         wet: bool,
         object_present: bool = True,
         disturbance: Disturbance = QUIET,
+        light: float = 1.0,
     ) -> bytes:
-        """Return the JPEG file of one photo."""
+        """Return the JPEG file of one photo; ``light`` is how many times the scene's own exposure reaches the sensor."""
         ...
 
 
@@ -60,6 +61,7 @@ class MixesFrames(TakesPhotos, Protocol):
         wet: bool,
         object_present: bool = True,
         disturbance: Disturbance = QUIET,
+        light: float = 1.0,
     ) -> bytes:
         """Return the JPEG file of one photo, of which each row got its share of each frame's light."""
         ...
@@ -96,21 +98,21 @@ class WorldExposure:
         closed_s = self._world.clock.now_s()
         self._spans = (closed_s, self._world.shown_between(self._opened_s, closed_s))
 
-    def develop(self) -> bytes:
-        """Return the JPEG file of what was seen."""
+    def develop(self, *, light: float = 1.0) -> bytes:
+        """Return the JPEG file of what was seen, with so many times the light of the scene's own exposure."""
         assert self._seen is not None, "the shutter was not opened and closed"
         (sight, before), self._seen = self._seen, None
         if self._mixing is not None:
-            return self._mixed(self._mixing, sight)
-        photo = self._photographed(sight, sight.frame)
-        return photo if before is None else blended(self._photographed(sight, before), photo)
+            return self._mixed(self._mixing, sight, light)
+        photo = self._photographed(sight, sight.frame, light)
+        return photo if before is None else blended(self._photographed(sight, before, light), photo)
 
     def snap(self) -> bytes:
         """Return the JPEG file of a photo that takes no time, whatever an exposure under way sees."""
         sight = self._world.look()
-        return self._photographed(sight, sight.frame)
+        return self._photographed(sight, sight.frame, 1.0)
 
-    def _mixed(self, optics: MixesFrames, sight: Sight) -> bytes:
+    def _mixed(self, optics: MixesFrames, sight: Sight, light: float) -> bytes:
         camera, display = optics.scene.camera, optics.scene.display
         closed_s, spans = self._spans
         exposure_s = max(0.0, closed_s - self._opened_s - camera.readout_s)
@@ -128,15 +130,17 @@ class WorldExposure:
             wet=sight.wet,
             object_present=sight.object_present,
             disturbance=sight.disturbance,
+            light=light,
         )
 
-    def _photographed(self, sight: Sight, frame: Frame) -> bytes:
+    def _photographed(self, sight: Sight, frame: Frame, light: float) -> bytes:
         return self._optics.photograph(
             frame,
             stage_position_mm=sight.stage_position_mm,
             wet=sight.wet,
             object_present=sight.object_present,
             disturbance=sight.disturbance,
+            light=light,
         )
 
 

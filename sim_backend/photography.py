@@ -69,11 +69,15 @@ class Photographer:
         wet: bool,
         object_present: bool = True,
         disturbance: Disturbance = QUIET,
+        light: float = 1.0,
     ) -> bytes:
-        """Return the JPEG of one exposure."""
+        """Return the JPEG of one exposure; ``light`` is how many times the scene's own exposure reaches the sensor."""
         value = self._value(frame, (float(stage_position_mm), wet, object_present, disturbance))
         camera = self.scene.camera
-        parts = () if disturbance == QUIET else (disturbance,)
+        parts: tuple[object, ...] = () if disturbance == QUIET else (disturbance,)
+        if light != 1:
+            value = value * np.float32(light)
+            parts = (*parts, light)
         key = frame_key(frame, self.scene.seed, float(stage_position_mm), wet, object_present, *parts)
         return jpeg_bytes(noisy_grey(value, camera, key=key), quality=camera.jpeg_quality)
 
@@ -87,6 +91,7 @@ class Photographer:
         wet: bool,
         object_present: bool = True,
         disturbance: Disturbance = QUIET,
+        light: float = 1.0,
     ) -> bytes:
         """Return the JPEG of one exposure during which the display showed ``frames``.
 
@@ -96,11 +101,13 @@ class Photographer:
         key = (float(stage_position_mm), wet, object_present, disturbance)
         view = self._view(key)
         camera = self.scene.camera
-        light = np.zeros((camera.rows, camera.columns), np.float32)
+        got = np.zeros((camera.rows, camera.columns), np.float32)
         for frame, share in zip(frames, shares, strict=True):
-            light += share[:, None].astype(np.float32) * self._light(view, frame)
+            got += share[:, None].astype(np.float32) * self._light(view, frame)
         number = frame_key(frames[-1], self.scene.seed, *key, opened_s, [frame_key(frame) for frame in frames[:-1]])
-        seen = self._seen(view, light, disturbance)
+        seen = self._seen(view, got, disturbance)
+        if light != 1:
+            seen = seen * np.float32(light)
         return jpeg_bytes(noisy_grey(seen, camera, key=number), quality=camera.jpeg_quality)
 
     def expected(

@@ -76,3 +76,17 @@ def test_a_deadline_that_is_too_short_is_an_error_and_not_a_photo(open_camera) -
         with pytest.raises(DeviceTimeoutError):
             bench.device.collect(timeout_s=0.01)
         bench.device.keep_awake()
+
+
+@pytest.mark.without_world
+def test_a_time_that_the_body_offers_can_be_set_and_what_it_does_not_know_has_no_choices(open_camera) -> None:
+    with open_camera() as bench:
+        name = next((one for one in ("shutterspeed", "shutter") if bench.device.setting_choices(one)), None)
+        assert bench.device.setting_choices("colour of the strap") == ()
+        if name is None:  # a body whose dial alone sets the time
+            return
+        choices = bench.device.setting_choices(name)
+        assert bench.device.settings()[name] in choices
+        other = next(choice for choice in choices if choice not in (bench.device.settings()[name], "auto", "bulb"))
+        bench.device.apply_settings({name: other})
+        assert bench.device.settings()[name] == other

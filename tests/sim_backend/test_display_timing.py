@@ -1,6 +1,7 @@
 """A display whose light is late, flickers and drifts, seen through a shutter of a known time."""
 
 from dataclasses import dataclass
+from fractions import Fraction
 
 import numpy as np
 import pytest
@@ -32,7 +33,9 @@ class Bench:
         self.display.show(Frame(axis="x", levels=levels), frame_id=level, timeout_s=1.0)
 
     def photo(self, shutter: str) -> np.ndarray:
-        self.camera.apply_settings({"shutter": shutter})
+        # As bright as the scene has it at 1/4 s and ISO 100, whatever the time.
+        sensitivity = 100 * Fraction("1/4") / Fraction(shutter)
+        self.camera.apply_settings({"shutter": shutter, "iso": str(sensitivity)})
         self.camera.expose(timeout_s=60.0)
         (photo,) = self.camera.collect(timeout_s=60.0)
         return simplejpeg.decode_jpeg(photo.data, "GRAY")[:, :, 0].astype(np.float64)

@@ -39,6 +39,7 @@ class FlatOptics:
         wet: bool,  # noqa: ARG002
         object_present: bool = True,  # noqa: ARG002
         disturbance: Disturbance = QUIET,  # noqa: ARG002
+        light: float = 1.0,  # noqa: ARG002
     ) -> bytes:
         assert frame.levels is not None
         return simplejpeg.encode_jpeg(np.full((16, 16, 1), frame.levels[0], np.uint8), quality=100, colorspace="GRAY")
