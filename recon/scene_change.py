@@ -49,6 +49,17 @@ class SceneParts:
     object_px: tuple[tuple[float, float], ...] = ()
     marks_px: tuple[tuple[float, float, float, float], ...] = ()
 
+    def reduced(self, factor: int) -> "SceneParts":
+        """Return where the parts are in photos that are ``factor`` times smaller."""
+
+        def place(edge_px: float) -> float:
+            return (edge_px + 0.5) / factor - 0.5
+
+        return SceneParts(
+            tuple((place(x), place(y)) for x, y in self.object_px),
+            tuple((place(a), place(b), place(c), place(d)) for a, b, c, d in self.marks_px),
+        )
+
 
 @dataclass(frozen=True, slots=True)
 class SceneLimits:
@@ -103,15 +114,9 @@ def part_masks(parts: SceneParts, *, rows: int, columns: int) -> dict[Part, Mask
     return masks
 
 
-def scene_change(
-    first: Photo, second: Photo, masks: Mapping[Part, Mask], noise: PhotoNoise, *, clipped: float
-) -> dict[Part, PartShift]:
-    """Measure every part between two photos of the same frame; parts without enough texture are left out.
-
-    ``clipped`` is the count from which a sample says nothing any more.
-    """
-    sound = (first < clipped) & (second < clipped)
-    measured = {part: part_shift(first, second, mask & sound, noise) for part, mask in masks.items()}
+def scene_change(first: Photo, second: Photo, masks: Mapping[Part, Mask], noise: PhotoNoise) -> dict[Part, PartShift]:
+    """Measure every part between two photos of the same frame; parts without enough texture are left out."""
+    measured = {part: part_shift(first, second, mask, noise) for part, mask in masks.items()}
     return {part: shift for part, shift in measured.items() if shift is not None}
 
 

@@ -7,16 +7,18 @@ liquid and display's place change everything else. The noise is measured from th
 from collections.abc import Mapping
 from dataclasses import dataclass
 
+import cv2
 import numpy as np
 
 from recon.errors import SessionError
 from recon.journal import JOURNAL_NAME, read_journal
 from recon.photos import Counts, read_grey, saturation_count
-from recon.scene_change import Finding, Part, SceneLimits, SceneParts, findings, part_masks, scene_change
-from recon.scene_shift import PartShift, PhotoNoise, noise_of_pair
+from recon.scene_change import Finding, Mask, Part, SceneLimits, SceneParts, findings, part_masks, scene_change
+from recon.scene_shift import PartShift, Photo, PhotoNoise, noise_of_pair
 from recon.session import Session
 
 REFERENCE = "reference"
+MEASURED_COLUMNS = 1000
 # Where a session does not say what is too much.
 USUAL_LIMITS = SceneLimits(shift_px=0.05, sigmas=6.0, light_share=0.02)
 NO_REFERENCES = "could not be checked: the session has no reference photos"
@@ -35,44 +37,77 @@ class SceneCheck:
     findings: tuple[Finding, ...]
 
 
+def reduction(columns: int) -> int:
+    """Return how many photo pixels across and down are averaged into one before anything is measured.
+
+    A thousand pixels across measure to a thousandth of a pixel; more would only take longer.
+    """
+    return max(1, round(columns / MEASURED_COLUMNS))
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class ReducedPhoto:
+    """A photo as it is measured: averaged counts, and where none of them is clipped."""
+
+    counts: Photo
+    sound: Mask
+
+    @classmethod
+    def of(cls, counts: Counts) -> "ReducedPhoto":
+        """Average ``counts`` by :func:`reduction`; what does not fill a whole pixel at the right and lower edge is left out."""
+        factor = reduction(counts.shape[1])
+        rows, columns = counts.shape[0] // factor, counts.shape[1] // factor
+        whole = counts[: rows * factor, : columns * factor]
+        clipped = (whole >= saturation_count(counts)).astype(np.float32)
+        size = (columns, rows)
+        return cls(
+            cv2.resize(whole.astype(np.float32), size, interpolation=cv2.INTER_AREA),
+            cv2.resize(clipped, size, interpolation=cv2.INTER_AREA) == 0,
+        )
+
+
 class SceneChecker:
     """Takes in reference photos one after the other and says what changed; keeps the first one of each set."""
 
     def __init__(self, parts: SceneParts, limits: SceneLimits, *, rows: int, columns: int) -> None:
         self.limits = limits
-        self._masks = part_masks(parts, rows=rows, columns=columns)
-        self._firsts: dict[str, Counts] = {}
+        self._factor = reduction(columns)
+        self._masks = part_masks(
+            parts.reduced(self._factor), rows=rows // self._factor, columns=columns // self._factor
+        )
+        self._firsts: dict[str, ReducedPhoto] = {}
         self._noise: PhotoNoise | None = None
 
     def see(self, set_name: str, index: int, counts: Counts, *, wet: bool) -> SceneCheck | None:
         """Compare the next reference photo; None where there is nothing yet to compare it with."""
-        first = self._firsts.setdefault(set_name, counts)
-        if first is not counts:
+        photo = ReducedPhoto.of(counts)
+        first = self._firsts.setdefault(set_name, photo)
+        if first is not photo:
             if self._noise is None:
-                self._noise = self._noise_of(first, counts)
-            change = self.change(first, counts)
+                self._noise = _noise_of(first, photo)
+            change = self._change(first, photo, self._masks)
             return SceneCheck(set_name, index, False, change, findings(change, self.limits, wet=wet))
         start = next(iter(self._firsts.values()))
-        if start is counts or self._noise is None or "marks" not in self._masks:
+        if start is photo or self._noise is None or "marks" not in self._masks:
             return None
-        marks = self.change(start, counts, only="marks")
+        marks = self._change(start, photo, {"marks": self._masks["marks"]})
         return SceneCheck(set_name, index, True, marks, findings(marks, self.limits, wet=wet))
-
-    def change(self, first: Counts, second: Counts, *, only: Part | None = None) -> dict[Part, PartShift]:
-        """Measure what changed between any two photos of the reference frame."""
-        noise = self._noise or self._noise_of(first, second)
-        masks = self._masks if only is None else {only: self._masks[only]}
-        clipped = float(saturation_count(first))
-        return scene_change(first.astype(np.float32), second.astype(np.float32), masks, noise, clipped=clipped)
 
     def is_still(self, first: Counts, second: Counts) -> bool:
         """Whether two photos in a row differ by no more than half the limits allow."""
         half = SceneLimits(self.limits.shift_px / 2, self.limits.sigmas, self.limits.light_share / 2)
-        return not findings(self.change(first, second), half, wet=True)
+        change = self._change(ReducedPhoto.of(first), ReducedPhoto.of(second), self._masks)
+        return not findings(change, half, wet=True)
 
-    def _noise_of(self, first: Counts, second: Counts) -> PhotoNoise:
-        everywhere = np.maximum(first, second) < saturation_count(first)
-        return noise_of_pair(first.astype(np.float32), second.astype(np.float32), everywhere)
+    def _change(self, first: ReducedPhoto, second: ReducedPhoto, masks: Mapping[Part, Mask]) -> dict[Part, PartShift]:
+        noise = self._noise or _noise_of(first, second)
+        sound = {part: mask & first.sound & second.sound for part, mask in masks.items()}
+        change = scene_change(first.counts, second.counts, sound, noise)
+        return {part: shift.enlarged(self._factor) for part, shift in change.items()}
+
+
+def _noise_of(first: ReducedPhoto, second: ReducedPhoto) -> PhotoNoise:
+    return noise_of_pair(first.counts, second.counts, first.sound & second.sound)
 
 
 @dataclass(frozen=True, slots=True)

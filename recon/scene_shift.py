@@ -8,7 +8,7 @@ fine texture, and the shift would come out too long.
 """
 
 import itertools
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import cv2
 import numpy as np
@@ -87,6 +87,16 @@ class PartShift:
     light: float
     light_sd: float
     blocks: int
+
+    def enlarged(self, factor: int) -> "PartShift":
+        """Return the same change in the pixels of a photo that was measured ``factor`` times smaller."""
+        (x, y), (sd_x, sd_y) = self.shift_px, self.sd_px
+        return replace(
+            self,
+            shift_px=(factor * x, factor * y),
+            sd_px=(factor * sd_x, factor * sd_y),
+            spread_px=factor * self.spread_px,
+        )
 
     @property
     def length_px(self) -> float:

@@ -57,7 +57,7 @@ class Watch(Part):
 
     ``object_px`` outlines the object in the photos, corner by corner (x, y); ``marks_px`` are printed marks, each by its first
     column, first row, last column and last row. ``finest_px`` is the finest detail of the reference frame in device pixels;
-    without it, what takes eight photo pixels.
+    without it, what takes eight of a thousand pixels across the photo.
     """
 
     shift_px: Positive = 0.05

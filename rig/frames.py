@@ -10,14 +10,15 @@ from recon.frame_tag import LARGEST_NUMBER, tag_levels
 from recon.manifest import Axis
 from recon.patterns import stripe_frame
 from recon.reference_frame import reference_levels
-from recon.scene_check import REFERENCE
+from recon.scene_check import REFERENCE, reduction
 from recon.scene_error import photo_scale_mm
 from rig.config import RigConfig
 from rig.steps import TakePhoto
 
 LEVELS = {"white": 255, "black": 0}
 SCANNED: dict[str, Axis] = {scan_name("x"): "x", scan_name("y"): "y"}
-# The finest detail of the reference frame in photo pixels: fine enough to measure by, coarse enough for any lens.
+# The finest detail of the reference frame in photo pixels as they are measured: fine enough to measure by, coarse enough
+# for any lens.
 FINEST_PHOTO_PX = 8.0
 
 
@@ -47,10 +48,11 @@ def reference_finest_px(config: RigConfig) -> float:
     """
     if config.watch is not None and config.watch.finest_px is not None:
         return config.watch.finest_px
+    finest_photo_px = FINEST_PHOTO_PX * reduction(config.camera.columns)
     scales_mm = [photo_scale_mm(config.camera, pose) for pose in config.display_poses]
     if scales_mm[0] is None or scales_mm[1] is None:
-        return FINEST_PHOTO_PX * config.display.columns / config.camera.columns
-    return FINEST_PHOTO_PX * max(scales_mm[0], scales_mm[1]) / config.display.pitch_mm
+        return finest_photo_px * config.display.columns / config.camera.columns
+    return finest_photo_px * max(scales_mm[0], scales_mm[1]) / config.display.pitch_mm
 
 
 @lru_cache(maxsize=1)
