@@ -16,7 +16,7 @@ from scipy.optimize import OptimizeResult, least_squares
 from recon.calibration.bundle_state import BundleState, Freedom, ParameterTable
 from recon.calibration.detection import BoardView
 from recon.calibration.errors import CalibrationError
-from recon.calibration.lens import solve_2_by_2, view_rays
+from recon.calibration.lens import Lens, solve_2_by_2, view_rays
 from recon.calibration.sight_line import panel_places
 
 # Half a step of the derivatives that carry a difference on the screen back to the photo.
@@ -137,13 +137,25 @@ def adjust(
     )
 
 
-def corner_residuals(state: BundleState, sighting: Sighting, *, media: Media) -> Float64[np.ndarray, "corners 2"]:
-    """Return measured less predicted places of a sighting's corners in the photo, px."""
-    view = sighting.view
+def sighting_rays(view: BoardView, lens: Lens) -> Float64[np.ndarray, "five corners 3"]:
+    """Return the rays through a view's corners, and through four places close to each, for derivatives."""
     nudges = NUDGE_PX * np.array([[0.0, 0.0], [1, 0], [-1, 0], [0, 1], [0, -1]])
-    places = (view.place_px[None] + nudges[:, None]).reshape(-1, 2)
+    places = view.place_px[None] + nudges[:, None]
+    return view_rays(places.reshape(-1, 2), lens).reshape(5, -1, 3)
+
+
+def corner_residuals(
+    state: BundleState,
+    sighting: Sighting,
+    *,
+    media: Media,
+    rays: Float64[np.ndarray, "five corners 3"] | None = None,
+) -> Float64[np.ndarray, "corners 2"]:
+    """Return measured less predicted places of a sighting's corners in the photo, px; ``rays`` are those of the state's lens."""
+    view = sighting.view
+    through = sighting_rays(view, state.lens) if rays is None else rays
     seen = panel_places(
-        view_rays(places, state.lens),
+        through.reshape(-1, 3),
         state.panels[sighting.panel],
         n_air=media.n_air,
         liquid=state.liquid if sighting.wet else None,
@@ -152,8 +164,7 @@ def corner_residuals(state: BundleState, sighting: Sighting, *, media: Media) ->
         n_glass=media.n_glass,
     ).reshape(5, -1, 2)
     mm_per_px = np.stack([seen[1] - seen[2], seen[3] - seen[4]], axis=2) / (2 * NUDGE_PX)
-    off_mm = seen[0] - state.scale * view.board_mm
-    return solve_2_by_2(mm_per_px, off_mm)
+    return solve_2_by_2(mm_per_px, seen[0] - state.scale * view.board_mm)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -168,7 +179,7 @@ class _Problem:
 
     def values(self, step: np.ndarray) -> np.ndarray:
         state = self.table.moved(self.state, step)
-        parts = [self._corners(state, number) for number in range(len(self.sightings))]
+        parts = [self._corners(state, number, None) for number in range(len(self.sightings))]
         return np.concatenate([*parts, self.constraint_values(state)])
 
     def constraint_values(self, state: BundleState) -> np.ndarray:
@@ -176,14 +187,17 @@ class _Problem:
 
     def jacobian(self, step: np.ndarray) -> np.ndarray:
         """Return the central differences; a panel's pose moves its own sightings and the constraints only."""
+        here = self.table.moved(self.state, step)
+        rays = [sighting_rays(sighting.view, here.lens) for sighting in self.sightings]
         columns = []
         for number in range(self.table.count):
             nudge = np.zeros(self.table.count)
             nudge[number] = self.table.nudge[number]
             ahead, behind = self.table.moved(self.state, step + nudge), self.table.moved(self.state, step - nudge)
-            owner = self.table.owner(number)
+            owner, same_rays = self.table.owner(number), not self.table.is_lens(number)
             parts = [
-                self._corners(ahead, one) - self._corners(behind, one)
+                self._corners(ahead, one, rays[one] if same_rays else None)
+                - self._corners(behind, one, rays[one] if same_rays else None)
                 if owner is None or owner == sighting.panel
                 else np.zeros(2 * np.count_nonzero(self.kept[one]))
                 for one, sighting in enumerate(self.sightings)
@@ -192,9 +206,9 @@ class _Problem:
             columns.append(np.concatenate(parts) / (2 * nudge[number]))
         return np.column_stack(columns)
 
-    def _corners(self, state: BundleState, number: int) -> np.ndarray:
-        residual = corner_residuals(state, self.sightings[number], media=self.media)[self.kept[number]]
-        return residual.ravel() / self.corner_sd_px
+    def _corners(self, state: BundleState, number: int, rays: np.ndarray | None) -> np.ndarray:
+        residual = corner_residuals(state, self.sightings[number], media=self.media, rays=rays)
+        return residual[self.kept[number]].ravel() / self.corner_sd_px
 
 
 def _solved(problem: _Problem) -> OptimizeResult:

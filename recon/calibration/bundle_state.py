@@ -80,12 +80,16 @@ class ParameterTable:
         """Return the panel whose pose a number belongs to, None for one that all sightings share."""
         return next((name for name in self.panels if self.parts[name].start <= number < self.parts[name].stop), None)
 
+    def is_lens(self, number: int) -> bool:
+        """Tell whether a number belongs to the lens, and so moves rays."""
+        part = self.part(LENS)
+        return part.start <= number < part.stop
+
     def moved(self, state: BundleState, step: Float64[np.ndarray, " parameters"]) -> BundleState:
         """Return the state after a step."""
         panels = {}
         for name, pose in state.panels.items():
-            by = step[self.parts[name]]
-            panels[name] = PanelPose(Rotation.from_rotvec(by[:3]).as_matrix() @ pose.rotation, pose.centre_mm + by[3:])
+            panels[name] = moved_pose(pose, step[self.parts[name]])
         changes: dict[str, object] = {"panels": panels}
         if LENS in self.parts:
             changes["lens"] = state.lens + step[self.parts[LENS]]
@@ -96,6 +100,11 @@ class ParameterTable:
         if SCALE in self.parts:
             changes["scale"] = state.scale + float(step[self.parts[SCALE]][0])
         return replace(state, **changes)  # type: ignore[arg-type]  # each value is of its field's type
+
+
+def moved_pose(pose: PanelPose, by: Float64[np.ndarray, " 6"]) -> PanelPose:
+    """Return a pose turned by a rotation vector about the camera's axes (rad), its centre shifted along them (mm)."""
+    return PanelPose(Rotation.from_rotvec(by[:3]).as_matrix() @ pose.rotation, pose.centre_mm + by[3:])
 
 
 def tilted(liquid: LiquidPlane, step: Float64[np.ndarray, " 3"]) -> LiquidPlane:

@@ -52,22 +52,38 @@ def panel_places(
         with np.errstate(divide="ignore", invalid="ignore"):
             start = ray * np.where(slope > 0, liquid.distance_mm / slope, np.nan)[:, None]
         direction, n_last = bent(ray, liquid.down, n_from=n_air, n_to=n_liquid), n_liquid
+    return places_from(start, direction, pose, n_medium=n_last, glass_mm=glass_mm, n_glass=n_glass)
+
+
+def places_from(
+    start_mm: Vectors,
+    direction: Vectors,
+    pose: PanelPose,
+    *,
+    n_medium: float,
+    glass_mm: float = 0.0,
+    n_glass: float = 1.0,
+) -> Float64[np.ndarray, "rays 2"]:
+    """Return the screen coordinates that rays in the medium before the panel end at; NaN where they miss it."""
     into = pose.rotation[:, 2]
     front_mm = pose.centre_mm - glass_mm * into
     slope = direction @ into
     with np.errstate(divide="ignore", invalid="ignore"):
-        along = np.where(slope > 0, ((front_mm - start) @ into) / slope, np.nan)
-    place = start + along[:, None] * direction - pose.centre_mm
+        along = np.where(slope > 0, ((front_mm - start_mm) @ into) / slope, np.nan)
+    place = start_mm + along[:, None] * direction - pose.centre_mm
     if glass_mm != 0:
-        inside = bent(direction, into, n_from=n_last, n_to=n_glass)
+        inside = bent(direction, into, n_from=n_medium, n_to=n_glass)
         place = place + inside * (glass_mm / (inside @ into))[:, None]
     return place @ pose.rotation[:, :2]
 
 
-def bent(direction: Vectors, towards: Float64[np.ndarray, " 3"], *, n_from: float, n_to: float) -> Vectors:
-    """Return unit directions after a plane with unit normal ``towards`` along the light; NaN beyond the critical angle."""
+def bent(direction: Vectors, towards: Float64[np.ndarray, "*rays 3"], *, n_from: float, n_to: float) -> Vectors:
+    """Return unit directions after a surface whose unit normals ``towards`` (one, or one a ray) point along the light.
+
+    NaN beyond the critical angle.
+    """
     ratio = n_from / n_to
-    cosine = direction @ towards
+    cosine = (direction * towards).sum(axis=1)
     with np.errstate(invalid="ignore"):
         cosine_after = np.sqrt(1 - ratio**2 * (1 - cosine**2))
     return ratio * direction + (cosine_after - ratio * cosine)[:, None] * towards

@@ -85,6 +85,16 @@ def true_pose(scene: Scene, stage_mm: float) -> PanelPose:
     )
 
 
+def slipped_scene(scene: Scene, stage_mm: float, moved: np.ndarray) -> Scene:
+    """Return the scene with its panel moved, at one stage position: small turns about its axes (rad), shifts along them (mm)."""
+    pose = scene.display_pose_at(stage_mm)
+    axes = np.column_stack([pose.x_axis, pose.y_axis, pose.away()])
+    turned = axes @ rotation(*np.degrees(moved[:3]))
+    centre = pose.centre_mm + axes @ moved[3:] - stage_mm * np.array(scene.display.stage_direction)
+    changes = {"centre_mm": tuple(centre), "x_axis": tuple(turned[:, 0]), "y_axis": tuple(turned[:, 1])}
+    return scene.model_copy(update={"display": scene.display.model_copy(update=changes)})
+
+
 def seen_places(scene: Scene, screen_mm: np.ndarray, stage_mm: float, *, wet: bool = False) -> np.ndarray:
     """Return where the camera sees points of the panel beside the object, by inverting the simulator's own ray tracing."""
     pose = true_pose(scene, stage_mm)
@@ -134,7 +144,7 @@ def hand_held_views(
         centre = depth_mm * np.array([share[0] * camera.columns / 4203, share[1] * camera.rows / 4203, 1.0])
         place = project(scene, corner_mm @ pose[:, :2].T + centre)
         inside = ((place > 5) & (place < [camera.columns - 6, camera.rows - 6])).all(axis=1)
-        if np.count_nonzero(inside) < 20:
+        if np.count_nonzero(inside) < min(20, len(corner_mm) // 2):
             continue
         noisy = place[inside] + rng.normal(0, sd_px, (np.count_nonzero(inside), 2))
         views.append(BoardView(number[inside], noisy, corner_mm[inside], "either", f"view{len(views)}"))
