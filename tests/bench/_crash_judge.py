@@ -91,6 +91,10 @@ class Judge:
         self._frames = frames
         self._plain = plain
 
+    def share_left(self, folder: Path) -> float:
+        """Return the share of the planned photos that are still to be taken."""
+        return 1 - len(good_photos(folder).keys() & self.expected.keys()) / len(self.expected)
+
     def releases_of_good(self, folder: Path, log: ShutterLog) -> dict[PhotoKey, int]:
         """Return for each good photo how often the shutter was released for it until now."""
         releases = log.releases()

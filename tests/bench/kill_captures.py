@@ -21,9 +21,11 @@ from tempfile import TemporaryDirectory
 from typing import Any, NoReturn
 
 import rig.devices
+from recon.session import open_session
 from rig.cli import main as rig_main
 from rig.plan import all_photos
-from rig.scene_config import SceneOptions, config_of_scene, open_scene
+from rig.scene_config import SceneOptions, open_scene
+from rig.session_manifest import config_of_session
 from sim_backend.clock import SimulatedClock
 from sim_backend.photography import Photographer
 from sim_backend.world import Sight, World
@@ -53,6 +55,7 @@ class Rehearsal:
     """One session, and what outlives the programs that write it."""
 
     folder: Path
+    options: tuple[str, ...] = ()
 
     @property
     def session(self) -> Path:
@@ -72,7 +75,7 @@ class Rehearsal:
     def command(self) -> list[str]:
         """Return the command that an operator would type now."""
         begun = (self.session / "manifest.json").exists()
-        how = ["--resume"] if begun else ARGUMENTS
+        how = ["--resume"] if begun else [*ARGUMENTS, *self.options]
         return ["rig", "capture", "--session", str(self.session), "--sim", "--state", str(self.state), *how]
 
 
@@ -125,30 +128,32 @@ def ended(process: int) -> int:
     return os.waitstatus_to_exitcode(os.waitpid(process, 0)[1])
 
 
-def prepare(folder: Path) -> Bench:
+def prepare(rehearsal: Rehearsal) -> Bench:
     """Trace the scene and run the capture that nobody disturbs."""
-    scene = open_scene(SCENE, OPTIONS)
-    config = config_of_scene(scene, OPTIONS)
+    rehearsal.folder.mkdir()
+    scene = open_scene(SCENE, replace(OPTIONS, watch="--watch" in rehearsal.options))
     photographer = Photographer(scene)
-    rehearsal = Rehearsal(folder)
-    folder.mkdir()
     for place_mm in scene.stage_positions_mm:
         for wet in (False, True):
             photographer.pixel_coordinates(stage_position_mm=place_mm, wet=wet)
     begun_s = time.monotonic()
     if ended(start(rehearsal, photographer)) != 0:
-        raise SystemExit((folder / "said.txt").read_text(encoding="utf-8"))
+        raise SystemExit((rehearsal.folder / "said.txt").read_text(encoding="utf-8"))
     room_s = time.monotonic() - begun_s
-    frames = {photo.key: photo.frame_id for photo in all_photos(config)}
+    session = open_session(rehearsal.session)
+    frames = {photo.key: photo.frame_id for photo in all_photos(config_of_session(session), session.ranges)}
     expected = {key: data for key, data in good_photos(rehearsal.session).items() if key in frames}
-    if set(expected) != set(frames) or set(rehearsal.shutter.releases().values()) != {1}:
+    releases = rehearsal.shutter.releases()
+    if set(expected) != set(frames) or {releases[str(frame)] for frame in frames.values()} != {1}:
         raise SystemExit("the undisturbed capture is not whole")
-    return Bench(photographer, Judge(expected, frames), room_s, load_state(rehearsal.state).at_s)
+    # In a scene that is watched, every photo has noise of its own, as a real one.
+    judge = Judge(expected, frames, plain=(lambda _: b"") if "--watch" in rehearsal.options else (lambda data: data))
+    return Bench(photographer, judge, room_s, load_state(rehearsal.state).at_s)
 
 
 def kill_one(bench: Bench, rehearsal: Rehearsal, rng: random.Random, *, by_room: bool) -> bool:
     """Run the capture until it is killed; return False where it had ended before."""
-    share = 1 - len(good_photos(rehearsal.session)) / len(bench.judge.expected)
+    share = bench.judge.share_left(rehearsal.session)
     if by_room:
         process = start(rehearsal, bench.photographer)
         time.sleep(rng.uniform(0, bench.room_s * share))
@@ -203,17 +208,19 @@ def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument("--sessions", type=int, default=500)
     parser.add_argument("--seed", type=int, default=1)
+    parser.add_argument("--option", action="append", default=[], help="of rig capture too, such as --option=--watch")
     given = parser.parse_args()
+    options = tuple(given.option)
     rng = random.Random(given.seed)
     died_in: Counter[str] = Counter()
     faults: dict[int, list[str]] = {}
     sessions = in_vain = 0
     with TemporaryDirectory(prefix="killed-") as folder:
-        bench = prepare(Path(folder) / "undisturbed")
+        bench = prepare(Rehearsal(Path(folder) / "undisturbed", options))
         number = 0
         while sessions < given.sessions:
             number += 1
-            rehearsal = Rehearsal(Path(folder) / f"{number:04d}")
+            rehearsal = Rehearsal(Path(folder) / f"{number:04d}", options)
             found = run_session(bench, rehearsal, rng, died_in)
             if found is not None:
                 sessions += 1

@@ -266,7 +266,7 @@ def run_session(
     good: dict[Any, int] = {}
     kills = 0
     for _ in range(rng.choice([1, 1, 2, 3])):
-        left = 1 - len(good_photos(rig.session)) / len(judge.expected)
+        left = judge.share_left(rig.session)
         if rig.run(killed_after_s=rng.uniform(0, whole_s * left)) != -signal.SIGKILL:
             continue
         kills += 1
