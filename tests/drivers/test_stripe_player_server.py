@@ -157,6 +157,14 @@ async def next_json(socket: aiohttp.ClientWebSocketResponse) -> dict[str, Any]:
     return json.loads(await socket.receive_str(timeout=10))
 
 
+async def close_code_of(socket: aiohttp.ClientWebSocketResponse) -> int | None:
+    """Read on until the line is closed."""
+    async with asyncio.timeout(10):
+        while not (await socket.receive()).type.name.startswith("CLOS"):
+            pass
+    return socket.close_code
+
+
 def test_a_message_that_is_too_large_closes_the_line(player: StripePlayer) -> None:
     async def talk() -> int | None:
         async with (
@@ -166,9 +174,7 @@ def test_a_message_that_is_too_large_closes_the_line(player: StripePlayer) -> No
             await socket.send_str(hello("one"))
             assert (await next_json(socket))["type"] == "welcome"
             await socket.send_str("x" * 20_000)
-            while not (await socket.receive(timeout=10)).type.name.startswith("CLOS"):
-                pass
-            return socket.close_code
+            return await close_code_of(socket)
 
     assert asyncio.run(talk()) == aiohttp.WSCloseCode.MESSAGE_TOO_BIG
     deadline_s = time.monotonic() + 10
@@ -217,9 +223,7 @@ def test_a_message_that_is_no_text_closes_the_line(player: StripePlayer) -> None
                 await socket.send_str(hello("one"))
                 assert (await next_json(socket))["type"] == "welcome"
             await socket.send_bytes(hello("one").encode())
-            while not (await socket.receive(timeout=10)).type.name.startswith("CLOS"):
-                pass
-            return socket.close_code
+            return await close_code_of(socket)
 
     assert asyncio.run(talk(introduced=True)) == aiohttp.WSCloseCode.POLICY_VIOLATION
     assert asyncio.run(talk(introduced=False)) == aiohttp.WSCloseCode.POLICY_VIOLATION
