@@ -1,6 +1,7 @@
 """``rig doctor``: every fault has its line and the line says what mends it; nothing moves and no liquid flows."""
 
 import logging
+import re
 import sys
 import threading
 import time
@@ -71,6 +72,17 @@ def lines_with(out: str, result: str) -> list[str]:
     return [line for line in out.splitlines() if line.startswith(result)]
 
 
+def screen_of_the_page(number: int) -> str:
+    """Return a screen that the how-to shows."""
+    page = (Path(__file__).parents[2] / "docs/how-to/check-the-rig.md").read_text(encoding="utf-8")
+    return str(re.findall(r"^```text\n(.*?)^```", page, re.MULTILINE | re.DOTALL)[number])
+
+
+def without_numbers(screen: str) -> list[str]:
+    """Return the lines of a screen without what differs between two machines: versions, ports, times and room."""
+    return [re.sub(r"[\d.:]*\d", "0", line) for line in screen.splitlines()]
+
+
 def test_with_nothing_attached_every_failing_line_says_how_to_mend_it(doctor: Run, monkeypatch) -> None:
     monkeypatch.setattr(rig.doctor_camera, "find_usb_cameras", lambda: ())
     code, out, err = doctor()
@@ -82,6 +94,7 @@ def test_with_nothing_attached_every_failing_line_says_how_to_mend_it(doctor: Ru
     assert all(lines[number + 1].strip().startswith("-> ") for number in failing)
     assert "rig init rig.toml" in out
     assert "Traceback" not in out
+    assert without_numbers(out) == without_numbers(screen_of_the_page(0))
 
 
 def test_a_rig_of_emulators_passes_and_nothing_in_it_moves_or_flows(doctor: Run, bench: DoctorBench) -> None:
@@ -89,6 +102,9 @@ def test_a_rig_of_emulators_passes_and_nothing_in_it_moves_or_flows(doctor: Run,
     code, out, err = doctor("--config", str(bench.file))
     assert code == 0, out
     assert lines_with(out, "fail") == []
+    assert (
+        without_numbers(out)[1:] == without_numbers(screen_of_the_page(1))[1:]
+    )  # the first line bears the file's path
     assert len(lines_with(out, "pass")) > 15
     assert [line for line in err.splitlines() if "Open this page" not in line] == []
     assert (bench.world.state().stage_mm, bench.world.state().tank_ml) == (before.stage_mm, before.tank_ml)
