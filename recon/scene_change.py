@@ -36,6 +36,8 @@ Mask = Bool[np.ndarray, "rows columns"]
 EDGE_PX = 3
 # The camera moved if the display's picture went the marks' way for at least this share of it.
 SAME_WAY = 0.4
+# What is seen through the object stood still if it moved less than this share of what is seen beside it.
+STILL_SHARE = 0.05
 
 
 @dataclass(frozen=True, slots=True)
@@ -174,7 +176,21 @@ def _with_marks(marks: PartShift, display: PartShift | None) -> Finding:
 def _without_marks(
     display: PartShift, through: PartShift | None, limits: SceneLimits, *, wet: bool, marks_are_still: bool
 ) -> Finding:
-    object_is_still = through is not None and not (moved(through, limits) or uneven(through, limits))
-    if wet and (uneven(display, limits) or object_is_still):
+    if wet and (_is_ripple(display) or (through is not None and _is_still_beside(through, display, limits))):
         return _finding("liquid", "display", display)
     return _finding("display" if marks_are_still else "camera or display", "display", display)
+
+
+def _is_ripple(display: PartShift) -> bool:
+    """Whether the blocks moved more differently than together; a display that slips moves them nearly alike."""
+    return display.spread_px > display.length_px
+
+
+def _is_still_beside(through: PartShift, display: PartShift, limits: SceneLimits) -> bool:
+    """Whether what is seen through the object stood still while the display's picture moved.
+
+    An object that makes the display's picture smaller also makes its shift smaller, which may then be below ``shift_px``.
+    """
+    sure = through.sigma > limits.sigmas or through.spread_sigma > limits.sigmas
+    size_px, beside_px = (float(np.hypot(part.length_px, part.spread_px)) for part in (through, display))
+    return not sure or size_px < STILL_SHARE * beside_px

@@ -31,8 +31,8 @@ CAPTURES = 4
 class Lab:
     """One scene with its rig; ``run`` captures it while ``happens`` is done to its world at the first photo that fits."""
 
-    def __init__(self) -> None:
-        self.scene, self.config = short_rig("hemisphere", columns=160)
+    def __init__(self, name: str = "hemisphere") -> None:
+        self.scene, self.config = short_rig(name, columns=160)
         self._photographer = Photographer(self.scene)
         self.object_px_mm = -self.scene.camera.position_mm[2] / self.scene.camera.focal_x_px
 
@@ -115,6 +115,13 @@ def test_a_display_that_slipped_by_a_twentieth_of_a_millimetre_stops_the_capture
     by_hand_px = 0.05 * lab.scene.camera.focal_y_px / 473
     (checked,) = [entry for entry in journal_of(folder, "scene_checked") if entry["findings"]]
     assert checked["parts"]["display"]["shift_px"][1] == pytest.approx(by_hand_px, rel=0.15)
+
+
+def test_a_display_that_slipped_in_water_behind_a_bottle_is_not_taken_for_ripples(tmp_path: Path) -> None:
+    """What is seen through the bottle is so small that it moves by a quarter of what is seen beside it."""
+    with pytest.raises(SceneMovedError, match="the display slipped"):
+        Lab("bottle").run(tmp_path / "session", disturbed(display_shift_mm=(0.05, 0.0)))
+    assert causes_of(tmp_path / "session") == ["display"]
 
 
 def test_a_camera_that_moved_stops_the_capture(lab: Lab, tmp_path: Path) -> None:

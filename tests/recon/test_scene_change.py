@@ -60,6 +60,12 @@ def test_a_liquid_that_is_not_still_moves_only_what_is_seen_through_its_surface(
     assert causes(wet=False, marks=part(), display=part(STILL, spread=0.2), object=part()) == ["display"]
 
 
+def test_a_display_that_slips_is_no_ripple_though_the_object_shows_little_of_it_and_perspective_bends_it() -> None:
+    small = part((0.032, 0.0), spread=0.024)
+    assert causes(wet=True, marks=part(), display=part((0.128, 0.0)), object=small) == ["display"]
+    assert causes(wet=True, marks=part(), display=part((0.6, 0.0), spread=0.1), object=part(GONE)) == ["display"]
+
+
 def test_light_is_named_beside_whatever_else_happened() -> None:
     assert causes(marks=part(), display=part(light=-0.05), object=part(light=-0.05)) == ["light"]
     assert causes(marks=part(), display=part(GONE, light=-0.05), object=part(GONE)) == ["display", "light"]
