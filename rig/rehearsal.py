@@ -35,8 +35,8 @@ class Simulation:
 def open_world(config: RigConfig, simulation: Simulation) -> Iterator[World]:
     """Build the simulated world, as its state file left it where there is one, and keep its state at every change.
 
-    What a program that was killed left under way goes on: on the simulated clock from the moment of the kill, in real time
-    for as long as it took to come back.
+    What a program that was killed left under way goes on: on the simulated clock from the moment of the kill (to a quarter
+    of a second), in real time for as long as it took to come back.
     """
     delay_s = simulation.scene.display.latency_s
     if simulation.state_file is None:
@@ -81,7 +81,7 @@ def _clock(
     start_s: float = 0.0,
     on_move: Callable[[float], None] = lambda now_s: None,  # noqa: ARG005
 ) -> Clock:
-    return RealClock() if simulation.real_time else SimulatedClock(start_s, on_move=on_move)
+    return RealClock(on_move=on_move) if simulation.real_time else SimulatedClock(start_s, on_move=on_move)
 
 
 def new_world(

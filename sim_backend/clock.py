@@ -10,7 +10,10 @@ from collections.abc import Callable
 
 
 class RealClock:
-    """The time of the room: :func:`time.monotonic` and :func:`time.sleep`."""
+    """The time of the room: :func:`time.monotonic` and :func:`time.sleep`; ``on_move`` hears the time after each sleep."""
+
+    def __init__(self, *, on_move: Callable[[float], None] = lambda now_s: None) -> None:  # noqa: ARG005
+        self._on_move = on_move
 
     def now_s(self) -> float:
         """Seconds since an arbitrary start; never runs backwards."""
@@ -20,6 +23,7 @@ class RealClock:
         """Wait; a duration that is not positive returns at once."""
         if duration_s > 0:
             time.sleep(duration_s)
+            self._on_move(self.now_s())
 
 
 class SimulatedClock:

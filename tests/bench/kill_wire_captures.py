@@ -294,7 +294,7 @@ def run_session(
 def main() -> None:
     """Kill, resume, judge; end with 1 if anything was lost."""
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
-    parser.add_argument("--sessions", type=int, default=50)
+    parser.add_argument("--sessions", type=int, default=10)
     parser.add_argument("--seed", type=int, default=1)
     given = parser.parse_args()
     captures, theirs = Pipe()

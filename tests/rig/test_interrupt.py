@@ -140,6 +140,29 @@ def test_an_interrupt_stops_a_pump_that_was_started_by_hand(tmp_path: Path) -> N
     assert 0 < load_state(tmp_path / "bench.json").tank_ml < 3000
 
 
+def test_a_tank_holds_what_was_pumped_when_the_program_was_killed(tmp_path: Path) -> None:
+    """The next command finds the pump running, as a real driver would, stops it, and the liquid is where it was."""
+    bench = tmp_path / "bench.json"
+    begun_s = time.monotonic()
+    process = start_rig("pump", "fill", "3000", "--sim", "--real-time", "--state", "bench.json", folder=tmp_path)
+    wait_for(lambda: bench.exists() and load_state(bench).flow is not None, process)
+    time.sleep(1.0)
+    process.kill()
+    process.communicate(timeout=PATIENCE_S)
+    longest_s = time.monotonic() - begun_s
+    assert process.returncode == -signal.SIGKILL
+    assert load_state(bench).flow is not None
+    after = start_rig("pump", "status", "--sim", "--state", "bench.json", folder=tmp_path)
+    out, err = after.communicate(timeout=PATIENCE_S)
+    assert (after.returncode, err) == (0, "")
+    assert out.startswith("pump: stands still\n")
+    state = load_state(bench)
+    assert state.flow is None
+    rate_ml_per_s = 20.0  # of the simulated pump, 1200 ml a minute
+    assert 0.5 * rate_ml_per_s < state.tank_ml < rate_ml_per_s * longest_s
+    assert state.tank_ml + state.reservoir_ml == pytest.approx(4200.0)
+
+
 def test_a_second_ctrl_c_stops_at_once(tmp_path: Path, begin) -> None:
     """A stage that creeps for minutes does not look up between the two; the second Ctrl-C does not wait for it."""
     dry_half = begin("air")
