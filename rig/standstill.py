@@ -133,7 +133,8 @@ class Standstill:
 
     def latch(self, cause: Cause, error: Exception, *, how_to_resume: str) -> None:
         """Stand still until a person has looked; raises ``CaptureError`` where nobody can be asked, or they decline."""
-        self._writer_says("latched", cause=cause.name, text=str(error))
+        with suppress(SessionError):  # on a full disk, what the person must do is still worth more than its line
+            self._writer_says("latched", cause=cause.name, text=str(error))
         if self.person is None:
             raise CaptureError(f"{error}; when a person has looked and it is mended, {how_to_resume}") from error
         with self._stop.at_once():

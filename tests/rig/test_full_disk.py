@@ -10,10 +10,12 @@ from typing import Any
 import pytest
 
 import recon.session
+from drivers.errors import DeviceTimeoutError
 from recon.disk import Disk
 from recon.errors import SessionError
 from recon.session import open_session
 from rig.capture import capture
+from rig.errors import CaptureError
 
 
 class SmallDisk(Disk):
@@ -122,6 +124,31 @@ def test_a_capture_on_a_full_disk_goes_on_by_itself_when_there_is_room(
     assert result.photos_taken == 72
     assert read_photo_bytes(tmp_path / "s") == read_photo_bytes(captured)
     assert lines_of(tmp_path / "s")[-1]["event"] == "capture_finished"
+
+
+def test_a_pump_that_runs_on_is_told_even_where_the_journal_has_no_room_for_it(
+    open_bench, config, scene, quiet, tmp_path, on_disk
+) -> None:
+    disk = SmallDisk(1e9)
+    on_disk(disk)
+    with open_bench(config, scene) as (devices, world):
+        status, stop = devices.pump.status, devices.pump.stop
+
+        def disk_fills_up_in_mid_fill() -> Any:
+            if world.flow_direction() == "fill" and world.state().tank_ml > 1000:
+                disk.room = 0
+                raise DeviceTimeoutError("pump: silent")
+            return status()
+
+        def deaf() -> None:
+            if world.flow_direction() == "fill":
+                raise DeviceTimeoutError("pump: does not obey")
+            stop()
+
+        devices.pump.status, devices.pump.stop = disk_fills_up_in_mid_fill, deaf
+        with pytest.raises(CaptureError, match=r"switch it off by hand.*does not obey"):
+            capture(config, tmp_path / "s", devices=devices, scene=scene, resume=False, console=quiet)
+        assert disk.refused >= 2
 
 
 class FailsToFlush(Disk):
