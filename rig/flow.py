@@ -3,6 +3,7 @@
 The capture and the commands by hand both go through here, so that there is one set of rules for the tank.
 """
 
+import math
 from collections.abc import Callable
 from contextlib import suppress
 
@@ -18,6 +19,8 @@ from rig.plan import LEVEL_TOLERANCE
 PUMP_EXTRA_S = 2.0
 POLL_S = 0.25
 SHORTEST_POLL_S = 0.02
+# So long before the rim the level sensor ends any fill: longer than two looks near the end lie apart.
+RIM_S = 0.1
 # Canon bodies fall asleep while nothing is photographed; ten seconds is what libgphoto2 itself uses.
 KEEP_AWAKE_EVERY_S = 10.0
 # A pump that is stopped by the level sensor may count this much more than is missing: tubing wears by several per cent.
@@ -121,7 +124,7 @@ def _watch(
     to_ml: float | None,
     on_poll: Callable[[float], None],
 ) -> None:
-    """Return when the pump has stopped by itself, or when the level sensor says that it is enough."""
+    """Return when the pump has stopped by itself, or when the level sensor says that it is enough, or up to the rim."""
     clock = devices.clock
     deadline_s = clock.now_s() + max_run_s + PUMP_EXTRA_S
     awake_s = clock.now_s()
@@ -130,18 +133,26 @@ def _watch(
         if clock.now_s() > deadline_s:
             raise DeviceTimeoutError(f"pump: still running after {max_run_s:.0f} s; it was told to stop, look at it")
         on_poll(status.moved_ml)
-        pause_s = POLL_S
-        if to_ml is not None and devices.level_sensor is not None:
-            missing_ml = (to_ml - devices.level_sensor.volume_ml()) * (1 if direction == "fill" else -1)
-            if missing_ml <= 0:
-                return
-            pause_s = min(POLL_S, max(SHORTEST_POLL_S, missing_ml / tank.pump_rate_ml_per_min * 60))
+        missing_ml = _missing_ml(devices, tank, direction, to_ml=to_ml)
+        if missing_ml <= 0:
+            return
         if devices.camera is not None and clock.now_s() - awake_s > KEEP_AWAKE_EVERY_S:
             awake_s = clock.now_s()
             with suppress(DeviceError):  # a camera that does not answer is told with the next photo
                 devices.camera.keep_awake()
-        clock.sleep_s(pause_s)
+        clock.sleep_s(min(POLL_S, max(SHORTEST_POLL_S, missing_ml / tank.pump_rate_ml_per_min * 60)))
     _refuse_alarm(status)
+
+
+def _missing_ml(devices: Devices | TankDevices, tank: Tank, direction: FlowDirection, *, to_ml: float | None) -> float:
+    """Return how far the level sensor says that the flow is from its end; infinite where no sensor has a say."""
+    sensor = devices.level_sensor
+    if sensor is None or (direction == "drain" and to_ml is None):
+        return math.inf
+    if direction == "drain":
+        return sensor.volume_ml() - (to_ml or 0.0)
+    rim_ml = tank.free_volume_ml - RIM_S * tank.pump_rate_ml_per_min / 60
+    return (rim_ml if to_ml is None else min(to_ml, rim_ml)) - sensor.volume_ml()
 
 
 def _refuse_alarm(status: PumpStatus) -> None:

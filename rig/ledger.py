@@ -8,6 +8,7 @@ somebody's word, so that whatever happens in between leaves behind what is true,
 from collections.abc import Mapping
 from dataclasses import asdict, dataclass, replace
 from datetime import datetime
+from functools import cache
 from typing import Any, Literal
 
 from pydantic import TypeAdapter
@@ -181,12 +182,17 @@ def entry_of(event: Event) -> tuple[str, dict[str, Any]]:
     return name, asdict(event)
 
 
+@cache
+def _adapter(name: str) -> TypeAdapter[Any]:
+    return TypeAdapter(KINDS[name])
+
+
 def event_of(entry: Mapping[str, Any]) -> Event:
     """Return the event that a line keeps; raises ``LedgerError`` for a line that keeps none."""
     fields = {name: value for name, value in entry.items() if name not in ("event", "time")}
     try:
         datetime.fromisoformat(entry["time"])
-        event: Event = TypeAdapter(KINDS[entry["event"]]).validate_python(fields)
+        event: Event = _adapter(entry["event"]).validate_python(fields)
     except (KeyError, TypeError, ValueError):
         raise LedgerError(f"{dict(entry)!r} is no event of a ledger") from None
     return event

@@ -103,6 +103,7 @@ class Motor:
         silent = self._world.clock.now_s() >= self._silent_at_s()
         self._count()
         if self.turning() and self._left_ml <= 1e-9:
+            self._world.stop_flow()  # rounding may have left the world a trillionth of a second of it
             if silent or self.number == LAST_PHASE:
                 self.prompt = "S"
             else:

@@ -189,6 +189,20 @@ def test_a_sensor_finds_a_pump_that_is_wrong_by_a_fifth(config: RigConfig, facto
         assert bench.world.state().tank_ml == pytest.approx(expected_ml, abs=20.0)
 
 
+def test_a_sensor_ends_every_fill_below_the_rim_even_from_a_reservoir_that_could_flood_the_room(
+    config: RigConfig,
+) -> None:
+    """Two faults: somebody refilled the reservoir, and the pump moves a fifth more than it counts."""
+    with board_bench(config, sensor=True) as bench:
+        bench.world._state = WorldState(reservoir_ml=20_000.0)
+        bench.devices.book.note(LevelLearnt("reservoir", 20_000.0, "told"))
+        bench.world.faults.pump_factor = 1.2
+        with pytest.raises(WrongLevelError, match="worn tube"):
+            bench.flow(volume_ml=5900.0)
+        assert 0.99 * ROOM_ML < bench.world.state().tank_ml <= ROOM_ML
+        assert bench.world.state().overflow_ml == 0
+
+
 @pytest.mark.parametrize("stuck", [0, 300])
 def test_a_sensor_that_is_stuck_does_not_keep_the_pump_going(config: RigConfig, stuck: int) -> None:
     with board_bench(config, sensor=True) as bench:
