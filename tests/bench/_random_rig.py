@@ -131,11 +131,11 @@ class WatchedWorld(World):
         if not self.life.dead:
             super().stop_flow()
 
-    def show(self, frame: Frame, *, frame_id: int | None) -> None:
+    def show(self, frame: Frame, *, frame_id: int | None, **settings: float) -> None:
         """Watch, then show."""
         if not self.life.dead:
             self._must_not("another frame is shown", exposes=True)
-            super().show(frame, frame_id=frame_id)
+            super().show(frame, frame_id=frame_id, **settings)
 
     @contextmanager
     def exposure(self) -> Iterator[None]:
