@@ -295,6 +295,7 @@ class Human:
     world: WatchedWorld
     there: bool
     mend: Callable[[], None] = field(default=lambda: None)
+    patience: int = 10
 
     def do(self, request: str, text: str) -> None:  # noqa: ARG002
         """Nothing is asked of the hands of a rig with a pump."""
@@ -311,9 +312,10 @@ class Human:
         return "go_on"
 
     def has_looked(self, text: str, *, idle: Callable[[], None]) -> bool:  # noqa: ARG002
-        """Mend it."""
+        """Mend it, or give up when that has not helped: a floor that stays wet keeps the leak contact open."""
         self.mend()
-        return True
+        self.patience -= 1
+        return self.patience > 0
 
 
 @dataclass
