@@ -55,6 +55,12 @@ def run(
         float, typer.Option(min=0.0, help="Method full: smallest angle in standard deviations.")
     ] = DEFAULT.angle_sigma,
     threads: Annotated[int, typer.Option(min=0, help="Threads for decoding; 0 takes every core.")] = 0,
+    calibration: Annotated[
+        Path | None,
+        typer.Option(
+            help="Calibration of the rig, whose poses replace the manifest's. [default: SESSION/calibration.json, if it is there]"
+        ),
+    ] = None,
 ) -> None:
     """Reconstruct one session: maps, cloud, mesh, numbers and a report."""
     # Loads the report's plotting, which would slow every other command by a second.
@@ -67,7 +73,9 @@ def run(
         angle_sigma=angle_sigma,
     )
     out = out or session / f"recon-{method}"
-    metrics = run_session(session, out, Settings(method=method, limits=limits, threads=threads))
+    metrics = run_session(
+        session, out, Settings(method=method, limits=limits, threads=threads, calibration=calibration)
+    )
     print_result(metrics, out)
 
 

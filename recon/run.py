@@ -4,12 +4,14 @@ import hashlib
 import os
 import platform
 from concurrent.futures import ThreadPoolExecutor
-from dataclasses import asdict, dataclass, field
+from dataclasses import asdict, dataclass, field, replace
 from importlib.metadata import PackageNotFoundError, version
 from pathlib import Path
 
 import numpy as np
 
+from recon.calibration.calibration_file import CALIBRATION_NAME
+from recon.calibration.session_calibration import calibrated_manifest, calibration_path, with_calibration
 from recon.correspondence import Method, SweepResult
 from recon.correspondence_store import stored_or_decoded
 from recon.errors import ReconError
@@ -45,11 +47,15 @@ CURVES_SHOWN = 8
 
 @dataclass(frozen=True, slots=True)
 class Settings:
-    """What ``recon run`` may be told. ``threads`` = 0 takes every core."""
+    """What ``recon run`` may be told.
+
+    ``threads`` = 0 takes every core; without a ``calibration`` the session's own ``calibration.json`` counts, if it has one.
+    """
 
     method: Method = "full"
     limits: Limits = field(default_factory=Limits)
     threads: int = 0
+    calibration: Path | None = None
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -69,11 +75,16 @@ def run_session(session_folder: Path, out: Path, settings: Settings) -> Metrics:
     session = open_session(session_folder)
     with timer.stage("check the session"):
         check_whole(session)
+    calibration = calibration_path(session, settings.calibration)
+    doubts: tuple[str, ...] = ()
+    if calibration is not None:
+        session, doubts = with_calibration(session, calibration)
     make_folder(out)
     with timer.stage("decode the photos"):
         sweeps = decode_session(session, settings)
     with timer.stage("points, normals and surface"):
         outcome = reconstruct(session, sweeps, settings)
+        outcome = replace(outcome, warnings=(*doubts, *outcome.warnings))
     with timer.stage("write maps, cloud and mesh"):
         write_arrays(out, outcome)
     with timer.stage("compare the reference photos"):
@@ -90,7 +101,11 @@ def run_session(session_folder: Path, out: Path, settings: Settings) -> Metrics:
             mesh=None if mesh is None else (mesh.vertices_mm, mesh.faces, mesh.normal),
         )
     # A copy of the manifest makes the folder whole: it can be moved, read and evaluated without the session.
-    (out / MANIFEST_NAME).write_bytes((session.folder / MANIFEST_NAME).read_bytes())
+    if calibration is None:
+        (out / MANIFEST_NAME).write_bytes((session.folder / MANIFEST_NAME).read_bytes())
+    else:
+        (out / MANIFEST_NAME).write_text(calibrated_manifest(session.folder, calibration).model_dump_json(indent=1))
+        (out / CALIBRATION_NAME).write_bytes(calibration.read_bytes())
     metrics = metrics.model_copy(update={"stages": timer.stages()})
     save_metrics(metrics, out / METRICS_NAME)
     return metrics
@@ -245,7 +260,7 @@ def _metrics(
         parameters=_parameters(settings, sweeps, outcome.gap_ratio),
         warnings=(*scene.warnings, *outcome.warnings),
         versions=_versions(),
-        hashes=_hashes(session),
+        hashes=_hashes(session, calibration_path(session, settings.calibration)),
         stages=timer.stages(),
         curves=_chosen_curves(sweeps, maps),
         photos=photos,
@@ -277,9 +292,11 @@ def _versions() -> dict[str, str]:
     return found
 
 
-def _hashes(session: Session) -> dict[str, str]:
-    names = (MANIFEST_NAME, JOURNAL_NAME)
-    return {name: hashlib.sha256((session.folder / name).read_bytes()).hexdigest() for name in names}
+def _hashes(session: Session, calibration: Path | None) -> dict[str, str]:
+    files = {name: session.folder / name for name in (MANIFEST_NAME, JOURNAL_NAME)}
+    if calibration is not None:
+        files[CALIBRATION_NAME] = calibration
+    return {name: hashlib.sha256(path.read_bytes()).hexdigest() for name, path in files.items()}
 
 
 def _chosen_curves(sweeps: dict[tuple[str, str], SweepResult], maps: Maps) -> tuple[SampleCurve, ...]:

@@ -213,5 +213,8 @@ def in_world(pose: Pose, camera_pose: Pose) -> Pose:
 
 def _with_pose(capture_set: CaptureSet, placed: dict[SetName, Pose]) -> CaptureSet:
     """Return the set with its own measured pose, if it has one besides that of its position."""
-    measured = placed.get(capture_set.name) if capture_set.name in WET_PANELS else None  # type: ignore[call-overload]
-    return capture_set.model_copy(update={"pose": measured})
+    name = capture_set.name
+    if name not in placed:
+        return capture_set
+    # The pose of a dry set is that of its position.
+    return capture_set.model_copy(update={"pose": placed[name] if name in WET_PANELS else None})

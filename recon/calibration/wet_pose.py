@@ -93,13 +93,13 @@ def wet_poses(
     wet_views: Mapping[int, Sequence[BoardView]],
     *,
     n_liquid: float,
-    level_mm: float | None = None,
+    level: LiquidPlane | None = None,
     level_sd_mm: float = np.inf,
+    level_tilt_sd_rad: float = 0.1,
     n_air: float = 1.0,
     cover_glass: CoverGlass | None = None,
     slipping: SlipKnowledge | None = None,
     known: Sequence[Constraint] = (),
-    level_tilt_sd_rad: float = 0.1,
 ) -> BundleResult:
     """Adjust dry and wet poses, the lens and the liquid's surface together.
 
@@ -108,10 +108,11 @@ def wet_poses(
     dry : the adjustment of the dry photos, from which this one starts.
     dry_views, wet_views : photos of the board at each position; corners seen through the object must be left out.
     n_liquid : index of the liquid at the display's colour.
-    level_mm, level_sd_mm : distance of the liquid's surface from the camera along its normal, if it was measured, and how well.
+    level : where the liquid's surface is, if that is known: its direction stays from session to session while the camera does.
+        Otherwise it is taken as parallel to the display, to within the sd that follow.
+    level_sd_mm, level_tilt_sd_rad : how well its distance and its direction are known.
     slipping : how far the panel may have moved.
     known : what was known for ``dry`` besides its photos: the constraints on the lens and on the stage.
-    level_tilt_sd_rad : how far the surface may lean against the display.
 
     Returns
     -------
@@ -122,7 +123,7 @@ def wet_poses(
         raise CalibrationError("display under liquid: no photo of the board; show it again with the tank filled")
     away = dry.state.panels[AIR_PANELS[0]].rotation[:, 2]
     nearest_mm = min(float(dry.state.panels[name].centre_mm @ away) for name in AIR_PANELS)
-    start = LiquidPlane(away, level_mm if level_mm is not None else 0.9 * nearest_mm)
+    start = level or LiquidPlane(away, 0.9 * nearest_mm)
     panels = {name: dry.state.panels[name] for name in AIR_PANELS}
     constraints = [*known, level_known(start, tilt_sd_rad=level_tilt_sd_rad, distance_sd_mm=level_sd_mm)]
     sightings = [Sighting(view, AIR_PANELS[position]) for position in (0, 1) for view in dry_views.get(position, ())]
