@@ -46,7 +46,9 @@ class Errors:
     normal_deg: float
 
 
-def pixels_of(scene: Scene, slipped: Scene, *, rng: np.random.Generator) -> tuple[Geometry, np.ndarray, np.ndarray]:
+def pixels_of(
+    scene: Scene, slipped: Scene, *, rng: np.random.Generator, sd_px: float = CORRESPONDENCE_SD_PX
+) -> tuple[Geometry, np.ndarray, np.ndarray]:
     """Return noisy display places of the pixels that see the object, and the true points and normals in the camera's frame."""
     small = [one.resized(camera_columns=486) for one in (scene, slipped)]
     small = [one.model_copy(update={"camera": one.camera.model_copy(update={"supersampling": 1})}) for one in small]
@@ -62,7 +64,7 @@ def pixels_of(scene: Scene, slipped: Scene, *, rng: np.random.Generator) -> tupl
         judged &= np.isfinite(place).all(axis=2)
     screen = {}
     for name, place in places.items():
-        noisy = place[judged] + rng.normal(0, CORRESPONDENCE_SD_PX, (np.count_nonzero(judged), 2))
+        noisy = place[judged] + rng.normal(0, sd_px, (np.count_nonzero(judged), 2))
         screen[name] = np.column_stack([screen_mm(noisy[:, 0], "x", PANEL), screen_mm(noisy[:, 1], "y", PANEL)])
     camera_from_world = scene.camera.world_from_camera().T
     point_mm = (truth.point_mm[judged] - np.array(scene.camera.position_mm)) @ camera_from_world.T
