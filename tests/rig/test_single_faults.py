@@ -192,8 +192,8 @@ def test_a_sensor_finds_a_pump_that_is_wrong_by_a_fifth(config: RigConfig, facto
 def test_a_sensor_ends_every_fill_below_the_rim_even_from_a_reservoir_that_could_flood_the_room(
     config: RigConfig,
 ) -> None:
-    """Two faults: somebody refilled the reservoir, and the pump moves a fifth more than it counts."""
-    with board_bench(config, sensor=True) as bench:
+    """Three faults: a refilled reservoir, a float that hangs, and a pump that moves a fifth more than it counts."""
+    with board_bench(config, sensor=True, full_at_ml=float("inf")) as bench:
         bench.world._state = WorldState(reservoir_ml=20_000.0)
         bench.devices.book.note(LevelLearnt("reservoir", 20_000.0, "told"))
         bench.world.faults.pump_factor = 1.2
