@@ -13,6 +13,7 @@ from drivers.errors import DeviceError
 from recon.errors import ReconError
 from recon.session import open_session
 from rig import options
+from rig.calibrate_cli import app as calibrate_app
 from rig.camera_cli import app as camera_app
 from rig.capture import capture as run_capture
 from rig.config import DEFAULT_FILE
@@ -47,6 +48,7 @@ app.command()(emulate)
 app.add_typer(stage_app, name="stage")
 app.add_typer(pump_app, name="pump")
 app.add_typer(camera_app, name="camera")
+app.add_typer(calibrate_app, name="calibrate")
 app.add_typer(display_app, name="display")
 console = Console(soft_wrap=True, highlight=False)
 

@@ -68,8 +68,7 @@ class SceneCamera(ScenePart):
     ``full_well_electrons`` is full scale. The photo's grey level is 255 · value ^ (1 / response_gamma).
 
     With a ``global`` shutter all rows see the same time; with a ``rolling`` one, row r of n opens r / n · ``readout_s`` after the
-    first and closes as much later. It shows where the display changes with time (:class:`SceneDisplay`). How long a shutter is
-    open does not change how bright a photo is, as if the aperture were set with it.
+    first and closes as much later. It shows where the display changes with time (:class:`SceneDisplay`).
     """
 
     columns: Count

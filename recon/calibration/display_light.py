@@ -45,3 +45,16 @@ def row_values(photo: Photo, region: Region) -> Float64[np.ndarray, " rows"]:
     total = np.where(region, photo, 0).sum(axis=1, dtype=np.float64)
     enough = count > count.max() / 2
     return np.where(enough, total / np.maximum(count, 1), np.nan)
+
+
+def upper_and_lower(region: Region) -> tuple[Region, Region]:
+    """Return the halves of a region above and below its middle row."""
+    rows = np.arange(region.shape[0])[:, None]
+    middle = float(np.median(np.nonzero(region)[0])) if region.any() else 0.0
+    return region & (rows <= middle), region & (rows > middle)
+
+
+def places_of(halves: tuple[Region, Region]) -> tuple[float, float]:
+    """Return where the mean rows of two regions are in the photo: 0 is its top, 1 its bottom."""
+    upper, lower = (float((np.nonzero(half)[0].mean() + 0.5) / half.shape[0]) for half in halves)
+    return upper, lower

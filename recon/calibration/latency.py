@@ -11,7 +11,7 @@ camera needs from its command until its shutter opens is taken for negative late
 together.
 """
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from jaxtyping import Float64
@@ -22,6 +22,8 @@ Samples = Float64[np.ndarray, " photos"]
 # A share farther from 0 and 1 than this is on the way.
 ON_THE_WAY = 0.05
 FEWEST_PHOTOS = 6
+# A difference between the halves of photos that is less certain is none.
+READOUT_SIGMA = 4.0
 LEAST_RISE_S = 1e-6
 LEAST_SHARE_SD = 1e-3
 
@@ -30,7 +32,8 @@ LEAST_SHARE_SD = 1e-3
 class Latency:
     """How late the light is: half changed ``latency_s`` after the command, in a change that takes ``rise_s``.
 
-    ``share`` is that of the new frame in the photo taken ``after_s``, ``share_rms`` its distance from the fit.
+    ``share`` is that of the new frame in the photo taken ``after_s``, ``share_rms`` its distance from the fit. ``readout_s`` is
+    how much later than the first row of a photo its last one opens, where that was measured.
     """
 
     after_s: Samples
@@ -41,6 +44,8 @@ class Latency:
     rise_s: float
     rise_sd_s: float
     share_rms: float
+    readout_s: float = 0.0
+    readout_sd_s: float = 0.0
 
     @property
     def settled_s(self) -> float:
@@ -121,6 +126,43 @@ def fit_latency(after_s: Samples, share: Samples, *, exposure_s: float) -> Laten
         rise_sd_s=float(rise_sd_s),
         share_rms=share_rms,
     )
+
+
+def fit_rolling_latency(
+    after_s: Samples,
+    share: Float64[np.ndarray, "photos 2"],
+    *,
+    exposure_s: float,
+    at_share: tuple[float, float],
+) -> Latency:
+    """Return the latency to the first row of photos whose rows may open one after the other.
+
+    Parameters
+    ----------
+    after_s, exposure_s:
+        As for :func:`fit_latency`.
+    share:
+        The share of the new frame in the upper and in the lower half of the part that sees the display.
+    at_share:
+        Where the mean rows of the halves are in the photo: 0 its top, 1 its bottom.
+
+    Notes
+    -----
+    Rows that open later seem to meet an earlier light: the latencies of the halves differ by the readout time times the distance
+    of their rows. What is fitted in the end is all rows together, at the time at which their mean one opened.
+    """
+    upper, lower = (fit_latency(after_s, share[:, half], exposure_s=exposure_s) for half in (0, 1))
+    apart = at_share[1] - at_share[0]
+    readout_s = (upper.latency_s - lower.latency_s) / apart
+    readout_sd_s = float(np.hypot(upper.latency_sd_s, lower.latency_sd_s)) / apart
+    if readout_s < READOUT_SIGMA * readout_sd_s:
+        return replace(
+            fit_latency(after_s, share.mean(axis=1), exposure_s=exposure_s), readout_s=0.0, readout_sd_s=readout_sd_s
+        )
+    mean_row = sum(at_share) / 2
+    found = fit_latency(after_s + readout_s * mean_row, share.mean(axis=1), exposure_s=exposure_s)
+    sd_s = float(np.hypot(found.latency_sd_s, readout_sd_s * mean_row))
+    return replace(found, latency_sd_s=sd_s, readout_s=readout_s, readout_sd_s=readout_sd_s)
 
 
 def latency_warnings(latency: Latency, *, waits_s: float) -> tuple[str, ...]:
