@@ -3,9 +3,9 @@
 from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
 
+import cv2
 import numpy as np
 from jaxtyping import Float64
-from scipy.spatial.transform import Rotation
 
 from recon.calibration.lens import Lens
 from recon.calibration.sight_line import LiquidPlane, PanelPose
@@ -104,7 +104,7 @@ class ParameterTable:
 
 def moved_pose(pose: PanelPose, by: Float64[np.ndarray, " 6"]) -> PanelPose:
     """Return a pose turned by a rotation vector about the camera's axes (rad), its centre shifted along them (mm)."""
-    return PanelPose(Rotation.from_rotvec(by[:3]).as_matrix() @ pose.rotation, pose.centre_mm + by[3:])
+    return PanelPose(cv2.Rodrigues(by[:3])[0] @ pose.rotation, pose.centre_mm + by[3:])
 
 
 def tilted(liquid: LiquidPlane, step: Float64[np.ndarray, " 3"]) -> LiquidPlane:

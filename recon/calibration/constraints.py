@@ -2,9 +2,9 @@
 
 from collections.abc import Sequence
 
+import cv2
 import numpy as np
 from jaxtyping import Float64
-from scipy.spatial.transform import Rotation
 
 from recon.calibration.bundle import Constraint
 from recon.calibration.bundle_state import BundleState, across
@@ -80,7 +80,7 @@ def glass_known(thickness_mm: float, *, sd_mm: float) -> Constraint:
 
 def turn_between(first: PanelPose, second: PanelPose) -> Float64[np.ndarray, " 3"]:
     """Return the rotation vector that turns the first panel's axes into the second's, about the first panel's own axes."""
-    return Rotation.from_matrix(first.rotation.T @ second.rotation).as_rotvec()
+    return cv2.Rodrigues(first.rotation.T @ second.rotation)[0].ravel()
 
 
 def slip(first: PanelPose, second: PanelPose) -> Float64[np.ndarray, " 6"]:

@@ -87,6 +87,10 @@ def test_slips_under_liquid_err_as_their_covariance_says() -> None:
     dry_exact = [seen_places(scene, corner_mm, place) for place in stage_mm]
     lens_covariance = np.diag(np.array([1.0, 1.0, 1.0, 1.0, 1e-3, 7e-3, 6e-5, 7e-5, 2e-2]) ** 2)
     rng = np.random.default_rng(42)
+    start = {
+        p: [panel_view(scene, corner_mm, stage_mm[p], rng=rng, sd_px=CORNER_SD_PX, exact=dry_exact[p])] for p in (0, 1)
+    }
+    first = display_poses(start, lens=truth, lens_covariance=lens_covariance, travel=Travel(40.0, TRAVEL_SD_MM))
     squares = []
     for _ in range(RUNS):
         lens = rng.multivariate_normal(truth, lens_covariance)
@@ -99,7 +103,6 @@ def test_slips_under_liquid_err_as_their_covariance_says() -> None:
         wet = {
             p: [panel_view(slipped[p], corner_mm, stage_mm[p], rng=rng, sd_px=CORNER_SD_PX, wet=True)] for p in (0, 1)
         }
-        first = display_poses(dry, lens=lens, lens_covariance=lens_covariance, travel=travel)
         known = [
             lens_known(lens, lens_covariance),
             travel_known(*AIR_PANELS, travel_mm=travel.distance_mm, sd_mm=travel.sd_mm),
