@@ -168,7 +168,8 @@ def _upper_half(points: int, down: np.ndarray, x_axis: np.ndarray) -> Float64[np
 def _variances(
     jacobian: Float64[np.ndarray, "points 3 numbers"], covariance: Float64[np.ndarray, "numbers numbers"]
 ) -> Float64[np.ndarray, " points"]:
-    return np.einsum("pin,nm,pim->p", jacobian, covariance, jacobian)
+    variance = np.einsum("pin,nm,pim->p", jacobian, covariance, jacobian)
+    return np.maximum(variance, 0.0)  # rounding makes a variance of nought negative
 
 
 def _without_motion(
