@@ -15,9 +15,12 @@ from rig.devices import open_devices
 from rig.options import Rig, choose_rig
 from rig.response_capture import ResponseCapture
 from rig.scene_config import SceneOptions
+from rig.session_calibration import with_calibration_of
+from rig.session_manifest import manifest_of
 
 app = typer.Typer(
-    help="Calibrate: measure the display's response. Photos, numbers and a report page go into one folder.",
+    help="Calibrate: measure the display's response, and check a calibration. Photos, numbers and a report page go into one "
+    "folder.",
     no_args_is_help=True,
 )
 console = Console(soft_wrap=True, highlight=False)
@@ -38,6 +41,25 @@ def ready(rig: Rig, *steps: str) -> None:
     if rig.scene is None and sys.stdin is not None and sys.stdin.isatty():
         say("Press return when it is so.")
         sys.stdin.readline()
+
+
+@app.command()
+def check(
+    file: Annotated[Path, typer.Argument(metavar="FILE", help="The calibration.json to look at.")],
+    sim: options.SimOption = False,
+    config: options.ConfigOption = None,
+    scene: options.SceneOption = None,
+) -> None:
+    """Say whether a calibration fits the rig as it is configured now.
+
+    A calibration of another display, camera or photo size is refused; age and changed settings are doubts.
+    """
+    rig = choose_rig(sim, config, scene, SceneOptions())
+    manifest = manifest_of(rig.config, devices={}, scene=rig.scene)
+    _, doubts = with_calibration_of(manifest, str(file))
+    for doubt in doubts:
+        say(f"! {doubt}")
+    say(f"{file}: fits this rig" + (f", with {len(doubts)} doubts" if doubts else ""))
 
 
 @app.command()

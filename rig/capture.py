@@ -9,6 +9,7 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from rich.console import Console
+from rich.markup import escape
 from rich.progress import Progress
 
 from recon.journal import JOURNAL_NAME, read_journal
@@ -25,6 +26,7 @@ from rig.live_capture import LiveCapture
 from rig.person import Person
 from rig.plan import all_photos, plan_capture, summarise
 from rig.progress import CaptureProgress
+from rig.session_calibration import with_calibration_of
 from rig.session_check import check_session, check_text
 from rig.session_manifest import manifest_of
 from rig.standstill import Standstill, clear_latch
@@ -84,7 +86,11 @@ def capture(
             writer = stack.enter_context(SessionWriter.reopen(folder))
             clear_latch(writer, person=person, checked=checked, idle=devices.camera.keep_awake)
         else:
-            manifest = manifest_of(config, devices=devices.records(), scene=scene)
+            manifest, doubts = with_calibration_of(
+                manifest_of(config, devices=devices.records(), scene=scene), config.calibration
+            )
+            for doubt in doubts:
+                console.print(f"[yellow]warning:[/yellow] {escape(doubt)}")
             writer = stack.enter_context(SessionWriter.create(folder, manifest))
         with stop.at_once():
             tank_ml = learn_tank_ml(devices, config, looked=checked)

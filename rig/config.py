@@ -210,6 +210,7 @@ class RigConfig(Part):
     liquid: Liquid | None = None
     display: DisplayPanel
     display_poses: tuple[Pose, Pose]
+    calibration: str | None = None
     camera: CameraBody
     capture: Capture
     tank: Tank | None = None

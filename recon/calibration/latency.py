@@ -24,6 +24,8 @@ ON_THE_WAY = 0.05
 FEWEST_PHOTOS = 6
 # A difference between the halves of photos that is less certain is none.
 READOUT_SIGMA = 4.0
+# A rolling shutter's rows are taken for so many that open one after the other.
+SPREAD_STEPS = 16
 LEAST_RISE_S = 1e-6
 LEAST_SHARE_SD = 1e-3
 
@@ -46,6 +48,7 @@ class Latency:
     share_rms: float
     readout_s: float = 0.0
     readout_sd_s: float = 0.0
+    spread_s: float = 0.0
 
     @property
     def settled_s(self) -> float:
@@ -54,11 +57,26 @@ class Latency:
 
     def model(self, after_s: Samples) -> Samples:
         """Return the share that the fit has at these times."""
-        return new_share(after_s, latency_s=self.latency_s, rise_s=self.rise_s, exposure_s=self.exposure_s)
+        return new_share(
+            after_s,
+            latency_s=self.latency_s,
+            rise_s=self.rise_s,
+            exposure_s=self.exposure_s,
+            spread_s=self.spread_s,
+        )
 
 
-def new_share(after_s: Samples, *, latency_s: float, rise_s: float, exposure_s: float) -> Samples:
-    """Return the share of the new frame in photos whose shutter opens ``after_s`` behind the command."""
+def new_share(
+    after_s: Samples, *, latency_s: float, rise_s: float, exposure_s: float, spread_s: float = 0.0
+) -> Samples:
+    """Return the share of the new frame in photos whose shutter opens ``after_s`` behind the command.
+
+    ``spread_s`` is how much later than the first of the rows seen the last one opens; ``after_s`` is the time of the mean one.
+    """
+    if spread_s > 0:
+        rows_s = spread_s * ((np.arange(SPREAD_STEPS) + 0.5) / SPREAD_STEPS - 0.5)
+        each = new_share((after_s[:, None] + rows_s).ravel(), latency_s=latency_s, rise_s=rise_s, exposure_s=exposure_s)
+        return each.reshape(-1, SPREAD_STEPS).mean(axis=1)
     rise_s = max(rise_s, LEAST_RISE_S)
 
     def light_until(time_s: Samples) -> Samples:
@@ -68,7 +86,7 @@ def new_share(after_s: Samples, *, latency_s: float, rise_s: float, exposure_s: 
     return (light_until(after_s + exposure_s) - light_until(after_s)) / exposure_s
 
 
-def fit_latency(after_s: Samples, share: Samples, *, exposure_s: float) -> Latency:
+def fit_latency(after_s: Samples, share: Samples, *, exposure_s: float, spread_s: float = 0.0) -> Latency:
     """Return latency and rise time.
 
     Parameters
@@ -76,8 +94,8 @@ def fit_latency(after_s: Samples, share: Samples, *, exposure_s: float) -> Laten
     after_s, share:
         When the shutter opened after the command, and the share of the new frame in the photo: 0 the old one, 1 the new one,
         in light (:meth:`recon.calibration.level_response.LevelResponse.light_table` undoes a gamma).
-    exposure_s:
-        How long it was open.
+    exposure_s, spread_s:
+        How long it was open, and how much later than the first row seen the last one opened (:func:`new_share`).
 
     Raises
     ------
@@ -93,13 +111,14 @@ def fit_latency(after_s: Samples, share: Samples, *, exposure_s: float) -> Laten
 
     def misses(parameters: np.ndarray) -> np.ndarray:
         latency_s, rise_s = parameters
-        return new_share(after_s, latency_s=latency_s, rise_s=rise_s, exposure_s=exposure_s) - share
+        seen = new_share(after_s, latency_s=latency_s, rise_s=rise_s, exposure_s=exposure_s, spread_s=spread_s)
+        return seen - share
 
     # A rise that is short against exposure and spacing hardly changes the shares, and one guess would stay where it is.
     starts = [
         (float(latency_s), float(rise_s))
-        for latency_s in np.linspace(after_s.min(), after_s.max() + exposure_s, 60)
-        for rise_s in np.geomspace(exposure_s / 100, 2 * np.ptp(after_s), 12)
+        for latency_s in np.linspace(after_s.min(), after_s.max() + exposure_s, 24)
+        for rise_s in np.geomspace(exposure_s / 100, 2 * np.ptp(after_s), 5)
     ]
     start = min(starts, key=lambda each: float(np.sum(misses(np.array(each)) ** 2)))
     fit = least_squares(misses, start, bounds=([-np.inf, LEAST_RISE_S], np.inf), x_scale=exposure_s)
@@ -125,6 +144,7 @@ def fit_latency(after_s: Samples, share: Samples, *, exposure_s: float) -> Laten
         rise_s=rise_s,
         rise_sd_s=float(rise_sd_s),
         share_rms=share_rms,
+        spread_s=spread_s,
     )
 
 
@@ -160,7 +180,9 @@ def fit_rolling_latency(
             fit_latency(after_s, share.mean(axis=1), exposure_s=exposure_s), readout_s=0.0, readout_sd_s=readout_sd_s
         )
     mean_row = sum(at_share) / 2
-    found = fit_latency(after_s + readout_s * mean_row, share.mean(axis=1), exposure_s=exposure_s)
+    # Half of the rows seen lie between the means of the halves.
+    spread_s = 2 * readout_s * apart
+    found = fit_latency(after_s + readout_s * mean_row, share.mean(axis=1), exposure_s=exposure_s, spread_s=spread_s)
     sd_s = float(np.hypot(found.latency_sd_s, readout_sd_s * mean_row))
     return replace(found, latency_sd_s=sd_s, readout_s=readout_s, readout_sd_s=readout_sd_s)
 

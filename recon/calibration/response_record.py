@@ -59,6 +59,7 @@ class LatencyRecord(Part):
     settled_s: Finite
     readout_s: NotNegative = 0.0
     readout_sd_s: NotNegative = 0.0
+    spread_s: NotNegative = 0.0
     acknowledged_s: Finite
 
 
@@ -147,6 +148,7 @@ def latency_record(found: Latency, *, acknowledged_s: float) -> LatencyRecord:
         settled_s=found.settled_s,
         readout_s=found.readout_s,
         readout_sd_s=found.readout_sd_s,
+        spread_s=found.spread_s,
         acknowledged_s=acknowledged_s,
     )
 

@@ -88,7 +88,7 @@ def write_response_page(path: Path, response: ResponseRecord) -> None:
     page = render_page(
         response.name,
         kind="Display response",
-        subtitle=f"measured {response.created}",
+        subtitle=f"measured {response.created[:16].replace('T', ', ')} UTC",
         sections=(response_section(response), provenance_section(response)),
         banners=banners,
         verdict=response_verdict(response),

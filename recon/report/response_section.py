@@ -1,5 +1,6 @@
 """The panels of a display's response: levels, latency, flicker, drift and colour, each with its chart and its numbers."""
 
+import math
 from collections.abc import Sequence
 
 import numpy as np
@@ -55,8 +56,18 @@ def chart(
     }
 
 
-def _plus_minus(value: float, sd: float) -> str:
-    return f"{number(value)} ± {number(sd, 2)}"
+def plus_minus(value: float, sd: float) -> str:
+    """Write a value to the second digit of its standard deviation.
+
+    Examples
+    --------
+    >>> plus_minus(2.19987, 0.00039), plus_minus(119.83, 1.2), plus_minus(240.0, 0.0)
+    ('2.19987 ± 0.00039', '119.8 ± 1.2', '240 ± 0')
+    """
+    if not (math.isfinite(sd) and sd > 0):
+        return f"{number(value)} ± {number(sd, 2)}"
+    decimals = max(0, 1 - math.floor(math.log10(sd)))
+    return f"{value:,.{decimals}f} ± {sd:.{decimals}f}".replace("-", "−")
 
 
 def levels_panel(response: ResponseRecord) -> Panel:
@@ -67,9 +78,9 @@ def levels_panel(response: ResponseRecord) -> Panel:
         smooth = np.linspace(0, 255, SMOOTH)
         curve = found.black + (found.white - found.black) * (smooth / 255) ** found.gamma
         rows = (
-            ("Gamma", _plus_minus(found.gamma, found.gamma_sd)),
-            ("Black", f"{_plus_minus(found.black, found.black_sd)} of {number(found.full_scale)}"),
-            ("White", f"{_plus_minus(found.white, found.white_sd)} of {number(found.full_scale)}"),
+            ("Gamma", plus_minus(found.gamma, found.gamma_sd)),
+            ("Black", f"{plus_minus(found.black, found.black_sd)} of {number(found.full_scale)}"),
+            ("White", f"{plus_minus(found.white, found.white_sd)} of {number(found.full_scale)}"),
             ("From a curve that never falls", f"{number(found.residual_rms, 2)} counts rms"),
             ("From the gamma curve", f"{number(found.model_rms, 2)} counts rms"),
             ("Clips from level", "none" if found.clipped_from is None else number(found.clipped_from)),
@@ -102,15 +113,17 @@ def latency_panel(response: ResponseRecord) -> Panel:
     found = response.latency
     if found is not None:
         smooth = np.linspace(min(found.after_s), max(found.after_s), SMOOTH)
-        model = new_share(smooth, latency_s=found.latency_s, rise_s=found.rise_s, exposure_s=found.exposure_s)
+        model = new_share(
+            smooth, latency_s=found.latency_s, rise_s=found.rise_s, exposure_s=found.exposure_s, spread_s=found.spread_s
+        )
         rows = (
-            ("Command to half of the light", f"{_plus_minus(1000 * found.latency_s, 1000 * found.latency_sd_s)} ms"),
-            ("The change takes", f"{_plus_minus(1000 * found.rise_s, 1000 * found.rise_sd_s)} ms"),
+            ("Command to half of the light", f"{plus_minus(1000 * found.latency_s, 1000 * found.latency_sd_s)} ms"),
+            ("The change takes", f"{plus_minus(1000 * found.rise_s, 1000 * found.rise_sd_s)} ms"),
             ("The display says it is done after", f"{number(1000 * found.acknowledged_s)} ms"),
             ("A shutter may open after", f"{number(1000 * found.settled_s)} ms"),
             (
                 "From first to last row the shutter takes",
-                f"{_plus_minus(1000 * found.readout_s, 1000 * found.readout_sd_s)} ms",
+                f"{plus_minus(1000 * found.readout_s, 1000 * found.readout_sd_s)} ms",
             ),
             ("Exposure of these photos", f"{number(1000 * found.exposure_s)} ms"),
             ("Photos from the line", f"{number(100 * found.share_rms, 2)} % rms"),
@@ -149,8 +162,8 @@ def flicker_panel(response: ResponseRecord) -> Panel:
             swing = 100 * found.depth * np.abs(np.sinc(found.frequency_hz * smooth / 1000))
             line = list(zip(smooth, swing, strict=True))
             rows = (
-                ("Frequency", f"{_plus_minus(found.frequency_hz, found.frequency_sd_hz)} Hz"),
-                ("Depth", f"{_plus_minus(100 * found.depth, 100 * found.depth_sd)} %"),
+                ("Frequency", f"{plus_minus(found.frequency_hz, found.frequency_sd_hz)} Hz"),
+                ("Depth", f"{plus_minus(100 * found.depth, 100 * found.depth_sd)} %"),
                 ("Period", f"{number(1000 / found.frequency_hz)} ms"),
                 ("Bands in a photo", "none seen" if found.bands_per_photo is None else number(found.bands_per_photo)),
                 ("Safe shutter times", ", ".join(f"{each} s" for each in found.safe_times) or "none of the usual ones"),
@@ -185,7 +198,7 @@ def drift_panel(response: ResponseRecord) -> Panel:
         minutes = [each / 60 for each in found.time_s]
         middle = float(np.mean(minutes))
         rows = (
-            ("Change a minute", f"{_plus_minus(100 * found.per_min, 100 * found.per_min_sd)} %"),
+            ("Change a minute", f"{plus_minus(100 * found.per_min, 100 * found.per_min_sd)} %"),
             ("Watched for", f"{number(max(minutes) - min(minutes))} min"),
         )
         data = chart(
