@@ -10,8 +10,8 @@ from rich.console import Console
 from recon.calibration.response_record import RESPONSE_NAME, write_response
 from recon.report.response_page import RESPONSE_PAGE_NAME, response_verdict, write_response_page
 from rig import options
+from rig.calibration_devices import open_camera_and_display
 from rig.calibration_folder import CalibrationFolder
-from rig.devices import open_devices
 from rig.options import Rig, choose_rig
 from rig.response_capture import ResponseCapture
 from rig.scene_config import SceneOptions
@@ -87,7 +87,10 @@ def response(
         "Nothing moves until this is done; liquid and object may stay as they are.",
     )
     simulation = rig.simulation(real_time=False, state_file=None)
-    with open_devices(rig.config, simulation=simulation) as devices, CalibrationFolder(folder, "response") as kept:
+    with (
+        open_camera_and_display(rig.config, simulation=simulation) as devices,
+        CalibrationFolder(folder, "response") as kept,
+    ):
         found = ResponseCapture(devices, rig.config, kept, say).run(minutes=minutes)
     write_response(folder / RESPONSE_NAME, found)
     write_response_page(folder / RESPONSE_PAGE_NAME, found)

@@ -9,9 +9,9 @@ import numpy as np
 from drivers.errors import DeviceProtocolError
 from drivers.protocols import Frame, Photo
 from recon.photos import decode_grey
+from rig.calibration_devices import CameraAndDisplay
 from rig.calibration_folder import CalibrationFolder
 from rig.config import RigConfig
-from rig.devices import Devices
 from rig.exposure_check import exposure_of_jpeg, exposure_of_settings
 from rig.photo_taker import PHOTO_TIMEOUT_S, SHOW_TIMEOUT_S
 from rig.tag_check import DECODABLE
@@ -38,7 +38,7 @@ class Taken:
 class CalibrationCamera:
     """Shows frames and photographs them with the configured devices; every photo is kept in ``folder``."""
 
-    def __init__(self, devices: Devices, config: RigConfig, folder: CalibrationFolder) -> None:
+    def __init__(self, devices: CameraAndDisplay, config: RigConfig, folder: CalibrationFolder) -> None:
         self._devices = devices
         self._config = config
         self._folder = folder

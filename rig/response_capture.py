@@ -37,10 +37,10 @@ from recon.calibration.response_record import (
     planes_record,
 )
 from recon.journal import now_text
+from rig.calibration_devices import CameraAndDisplay
 from rig.calibration_folder import CalibrationFolder
 from rig.calibration_photos import CalibrationCamera, Taken
 from rig.config import RigConfig
-from rig.devices import Devices
 from rig.errors import CaptureError
 from rig.exposure_check import TIME_NAMES, exposure_of_settings
 
@@ -67,7 +67,7 @@ SMALLEST_REGION = 0.005
 class ResponseCapture:
     """Takes the photos of a display's response; ``say`` tells the operator what is done and what was found."""
 
-    devices: Devices
+    devices: CameraAndDisplay
     config: RigConfig
     folder: CalibrationFolder
     say: Callable[[str], None]

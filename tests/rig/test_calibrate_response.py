@@ -3,12 +3,14 @@
 import hashlib
 import json
 import sys
+from importlib import resources
 from pathlib import Path
 
 import numpy as np
 import pytest
 
 from recon.calibration.response_record import ResponseRecord, read_response
+from rig.calibration_devices import CameraAndDisplay
 from rig.calibration_folder import CalibrationFolder
 from rig.cli import main
 from rig.config import RigConfig
@@ -43,7 +45,8 @@ def measured(scene: Scene, folder: Path, *, config: RigConfig | None = None) -> 
     said: list[str] = []
     config = config or config_of_scene(scene, SceneOptions())
     with open_world(config, Simulation(scene)) as world, CalibrationFolder(folder, "response") as kept:
-        devices = simulated_devices(config, world, Photographer(scene))
+        rig = simulated_devices(config, world, Photographer(scene))
+        devices = CameraAndDisplay(rig.camera, rig.display, rig.clock)
         with devices.camera, devices.display:
             return ResponseCapture(devices, config, kept, said.append).run(minutes=5.0), said
 
@@ -117,6 +120,20 @@ def test_a_display_later_than_the_settle_time_is_told_with_its_remedy(tmp_path: 
 def test_a_display_that_is_not_in_sight_is_told_before_anything_is_measured(tmp_path: Path) -> None:
     with pytest.raises(CaptureError, match="the camera does not see the display light up: point it at the display"):
         measured(late_scene("global", centre_mm=(900.0, 0.0, 0.0)), tmp_path)
+
+
+def test_a_rig_without_a_camera_is_told_and_stage_and_pump_are_not_asked_for(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capfd: pytest.CaptureFixture[str]
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    text = (resources.files("rig") / "template.toml").read_text("utf-8")
+    (tmp_path / "rig.toml").write_text(text.replace('display = "" ', 'display = "browser:127.0.0.1:0" '))
+    monkeypatch.setattr(sys, "argv", ["rig", "calibrate", "response", "calibration"])
+    with pytest.raises(SystemExit) as ended:
+        main()
+    assert ended.value.code == 1
+    assert "no camera configured: name driver and address" in capfd.readouterr().err
+    assert not (tmp_path / "calibration").exists()
 
 
 def test_photos_of_an_earlier_calibration_are_never_overwritten(tmp_path: Path) -> None:
