@@ -3,8 +3,8 @@
 No PTP camera says when its shutter closes. An exposure counts as over
 
 - strictly: when the camera has announced the photo's file, which an EOS does after the whole download;
-- overlapping: when the shutter's time and the profile's margin have passed since the camera took the command, or when the
-  file is there. The download goes on while the next frame is shown. So the photo cannot be asked for again by the driver:
+- overlapping: when the shutter's time and the profile's margin have passed since the camera was told, or when the file is
+  there. The download goes on while the next frame is shown. So the photo cannot be asked for again by the driver:
   whatever goes wrong from here on makes :meth:`CameraPhotos.collect` refuse it, and the caller shows its frame anew.
 """
 
@@ -107,10 +107,11 @@ class CameraPhotos:
 
     def _release(self, process: CameraProcess, limit_s: float, *, over_s: float) -> None:
         """Take one photo, let its download begin, and wait until its exposure is over."""
-        self.strays += process.call("release", limit_s=limit_s, **self._expected())
+        released = process.call("release", limit_s=limit_s, **self._expected())
+        self.strays += released["strays"]
         question = process.ask("fetch", limit_s=self._attempt_s, **self._expected())
         self._coming = (process, question)
-        process.wait(question, within_s=over_s)
+        process.wait(question, within_s=max(0.0, released["asked_s"] + over_s - time.monotonic()))
 
     def _expected(self) -> dict[str, int | bool]:
         return {"files": self._link.files_of_a_photo, "deletes": self._link.profile.deletes}

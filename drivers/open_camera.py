@@ -134,18 +134,22 @@ class OpenCamera:
         Returns ``paths``; ``strays``, how many photos were found that nobody here asked for; and ``mixed``, whether one of
         these came together with the photo, so that neither can be trusted.
         """
-        strays = self.release(files=files, deletes=deletes)
+        strays = self.release(files=files, deletes=deletes)["strays"]
         announced = self._announced(files, deletes)
         return {**announced, "strays": strays + announced["strays"]}
 
-    def release(self, *, files: int, deletes: bool) -> int:
-        """Take a photo; returns when the camera has accepted the command, and how many strays there were before."""
+    def release(self, *, files: int, deletes: bool) -> dict[str, Any]:
+        """Take a photo; returns when the camera has accepted the command.
+
+        Returns ``strays``, how many photos came before, and ``asked_s``, when the camera was told, on the clock of
+        :func:`time.monotonic`, which all processes of a machine share.
+        """
         self._wait_for_debt(deletes)
         strays = self._discard(self._drain(), deletes)
         self._delete_spent()
-        self._trigger()
+        asked_s = self._trigger()
         self._owed = files
-        return strays
+        return {"strays": strays, "asked_s": asked_s}
 
     def fetch(self, *, files: int, deletes: bool) -> dict[str, Any]:
         """Wait for the files of a photo that was released, and download them: what ``expose`` and ``collect`` return.
@@ -172,10 +176,18 @@ class OpenCamera:
         strays = self._discard(found, deletes) - files if mixed else 0
         return {"paths": [] if mixed else found, "strays": strays, "mixed": mixed}
 
-    def _trigger(self) -> None:
-        """Take a photo; a full card is told apart from failures without a reason."""
+    def _trigger(self) -> float:
+        """Take a photo and return when it was asked for; a full card is told apart from failures without a reason."""
+        asked_s = 0.0
+
+        def ask() -> None:
+            nonlocal asked_s
+            asked_s = time.monotonic()
+            self._camera.trigger_capture()
+
         try:
-            self._patiently(self._camera.trigger_capture)
+            self._patiently(ask)
+            return asked_s
         except self.gp.GPhoto2Error as error:
             if error.code == self.gp.GP_ERROR and self._card_is_full():
                 raise self.gp.GPhoto2Error(self.gp.GP_ERROR_NO_MEMORY) from error

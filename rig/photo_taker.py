@@ -72,25 +72,33 @@ class PhotoTaker:
         self._tag_check = TagCheck(config)
         self._freeze = CameraFreeze(devices.camera, writer, config.camera.settings)
         self._uncollected = False
-        self._display_fault: DeviceError | None = None
+        self._allowed: PhotoKey | None = None
+        self._fault_ahead: DeviceError | CaptureError | None = None
         self.taken: set[PhotoKey] = set()
 
     def take(self, photo: TakePhoto, following: TakePhoto | None) -> None:
         """Take and save one photo; a photo that is spoiled is taken again, with its frame shown anew.
 
-        What goes wrong with ``following``, which is shown meanwhile, is raised when ``photo`` is safe.
+        What goes wrong with ``following``, which is prepared meanwhile, is raised when ``photo`` is safe.
         """
-        self._guard.check("photo")
-        no_room = disk_fault(self._writer.folder, photo_mb=self._config.timing.photo_mb)
-        if no_room is not None:
-            raise DiskLowError(no_room)
+        if self._allowed != photo.key:
+            self._allow(photo)
+        self._allowed = None
         with part_of_rig("camera"):
             self._freeze.for_set(photo.set_name)
         files, device = self._sound(photo, following)
         self._save(photo, files, device)
-        fault, self._display_fault = self._display_fault, None
+        fault, self._fault_ahead = self._fault_ahead, None
         if fault is not None:
             raise fault
+
+    def _allow(self, photo: TakePhoto) -> None:
+        """Ask the interlocks and the disk whether a photo may be taken; the answer holds for this photo alone."""
+        self._guard.check("photo")
+        no_room = disk_fault(self._writer.folder, photo_mb=self._config.timing.photo_mb)
+        if no_room is not None:
+            raise DiskLowError(no_room)
+        self._allowed = photo.key
 
     def snap(self, photo: TakePhoto) -> tuple[Photo, ...]:
         """Take one photo and return its files; they do not become part of the session."""
@@ -130,8 +138,9 @@ class PhotoTaker:
         if following is not None:
             try:
                 self._show(following)
-            except DeviceError as fault:
-                self._display_fault = fault
+                self._allow(following)
+            except (DeviceError, CaptureError) as fault:
+                self._fault_ahead = fault
         device: dict[str, object] = {"frame_id": photo.frame_id, "stage_mm": self._stage.check_position_mm()}
         with _spoils_the_photo(), part_of_rig("camera"):
             files = self._devices.camera.collect(timeout_s=PHOTO_TIMEOUT_S)
@@ -161,8 +170,8 @@ class PhotoTaker:
         self._uncollected = False
 
     def forget_frame(self) -> None:
-        """Show the next frame anew: something else was on the glass, or the glass was dark, meanwhile."""
-        self._shown = None
+        """Show the next frame anew, and ask anew whether it may be: something else happened meanwhile."""
+        self._shown = self._allowed = None
 
     def _show(self, photo: TakePhoto) -> None:
         self._shown = None
