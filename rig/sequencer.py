@@ -105,6 +105,7 @@ class Sequencer:
                     self._stop.passed(boundary_after(step, following))
         finally:
             with self._stop.resting():
+                self.photos.keep_last()
                 self.come_to_rest()
 
     def _prepare(self) -> None:
