@@ -97,7 +97,6 @@ class WatchedWorld(World):
         self.violations: list[str] = []
         self.exposing = False
         self.photos = 0
-        self.flows = 0
         self._reservoir_limit_ml = reservoir_limit_ml
 
     def _must_not(self, what: str, *, moves: bool = False, pumps: bool = False, exposes: bool = False) -> None:
@@ -112,7 +111,6 @@ class WatchedWorld(World):
     def start_flow(self, direction: FlowDirection, *, rate_ml_per_s: float, volume_ml: float, max_run_s: float) -> None:
         """Watch, then pump."""
         self._must_not("the pump is started", moves=True, exposes=True)
-        self.flows += self.flow_direction() is None
         super().start_flow(direction, rate_ml_per_s=rate_ml_per_s, volume_ml=volume_ml, max_run_s=max_run_s)
 
     def start_motion(self, to_mm: float, *, velocity_mm_per_s: float) -> None:
@@ -330,6 +328,13 @@ class Hardware:
     def dead_man_s(self) -> float:
         """How long the pump may run with nobody alive."""
         return BOARD_DEAD_MAN_S if isinstance(self.emulator, TankBoardEmulator) else NEW_ERA_DEAD_MAN_S
+
+    @property
+    def starts(self) -> int:
+        """How often the pump was told to start."""
+        if isinstance(self.emulator, TankBoardEmulator):
+            return sum(line.startswith(("FILL", "DRAIN")) for line in self.emulator.lines)
+        return sum(command.startswith("RUN") for command in self.emulator.commands)
 
     def driver(self, chance: Chance) -> TankBoard | NewEraPump:
         """Return the real driver on this hardware."""

@@ -300,7 +300,7 @@ def one_run(bench: Bench, seed: int) -> Tally:
         run = Run(bench, seed, Path(folder))
         run.run()
     run.counts["photos"] += run.world.photos
-    run.counts["flows"] += run.world.flows
+    run.counts["flows"] += run.hardware.starts
     violations = list(dict.fromkeys(run.world.violations))
     return Tally(1, run.counts, {seed: violations} if violations else {})
 
