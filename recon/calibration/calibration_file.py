@@ -71,13 +71,17 @@ class MeasuredLevel(Part):
 
 
 class Quality(Part):
-    """How good the calibration is: reprojection in px, and what its errors mean for a first entry point."""
+    """How good the calibration is: reprojection in px, and what its errors mean for a first entry point (rms).
+
+    ``fep_shape_error_mm`` is what is left of ``fep_error_mm`` after the motion of the object as a whole is taken off.
+    """
 
     reprojection_rms_px: Annotated[float, Field(ge=0)]
     corner_sd_px: Annotated[float, Field(ge=0)]
     corners: Annotated[int, Field(ge=0)] = 0
     corners_dropped: Annotated[int, Field(ge=0)] = 0
     fep_error_mm: Annotated[float, Field(ge=0)] | None = None
+    fep_shape_error_mm: Annotated[float, Field(ge=0)] | None = None
     normal_error_deg: Annotated[float, Field(ge=0)] | None = None
 
 

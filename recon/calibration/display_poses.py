@@ -21,10 +21,11 @@ from recon.calibration.detection import BoardView
 from recon.calibration.errors import CalibrationError
 from recon.calibration.lens import Lens, camera_matrix
 from recon.calibration.sight_line import PanelPose
+from recon.calibration.significance import equivalent_sigma
 from recon.manifest import CoverGlass, Pose
 
 AIR_PANELS = ("pos0_air", "pos1_air")
-# What a stage of this class keeps straight, and what a person can still see as straight.
+# A straight stage is called crooked once in 400 calibrations.
 STRAIGHT_SIGMA = 3.0
 
 
@@ -59,7 +60,7 @@ class Straightness:
     turn_rad, turn_sd_rad : by how much the display turned on its way, and how sure that is.
     travel_mm, travel_sd_mm : how far it moved.
     lean_rad : the angle between the way it went and its own normal: how the display sits on the stage, no fault.
-    sigma : the turn in units of its standard deviation, as three independent normal numbers would give it.
+    sigma : how sure it is that the display turned at all, in standard deviations.
     """
 
     turn_rad: float
@@ -171,7 +172,7 @@ def straightness(result: BundleResult) -> Straightness:
         travel_mm=distance_mm,
         travel_sd_mm=float(np.sqrt(by_way @ covariance @ by_way)),
         lean_rad=float(np.arccos(np.clip(abs(way @ first.rotation[:, 2]) / distance_mm, 0.0, 1.0))),
-        sigma=float(np.sqrt(turn @ np.linalg.solve(turn_covariance, turn) / 3)),
+        sigma=equivalent_sigma(turn, turn_covariance),
     )
 
 

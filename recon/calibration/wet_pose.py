@@ -19,10 +19,11 @@ from recon.calibration.detection import BoardView
 from recon.calibration.display_poses import AIR_PANELS
 from recon.calibration.errors import CalibrationError
 from recon.calibration.sight_line import LiquidPlane
+from recon.calibration.significance import equivalent_sigma
 from recon.manifest import CoverGlass
 
 WET_PANELS = ("pos0_liquid", "pos1_liquid")
-FOUND_SIGMA = 4.0  # three numbers at two positions: 1 in 2,500 without any slip
+FOUND_SIGMA = 4.0  # at two positions: 1 in 8,000 without any slip
 # The photos determined a number if it is known this much better than before.
 DETERMINED_SHARE = 0.5
 
@@ -71,8 +72,7 @@ class Slip:
     def sigma(self) -> float:
         """Return how sure the motion in the plane is: shift and turn, as one normal number."""
         part = [2, 3, 4]
-        moved = self.moved[part]
-        return float(np.sqrt(moved @ np.linalg.solve(self.covariance[np.ix_(part, part)], moved) / len(part)))
+        return equivalent_sigma(self.moved[part], self.covariance[np.ix_(part, part)])
 
     def found(self) -> bool:
         """Tell whether the panel moved."""

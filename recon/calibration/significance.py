@@ -1,0 +1,25 @@
+"""How sure it is that several numbers are not all nought, said as one number of standard deviations."""
+
+import numpy as np
+from jaxtyping import Float64
+from scipy.stats import chi2, norm
+
+SMALLEST_CHANCE = 1e-300  # below it the normal distribution's inverse is infinite; 37 sigma will do
+
+
+def equivalent_sigma(
+    values: Float64[np.ndarray, " numbers"], covariance: Float64[np.ndarray, "numbers numbers"]
+) -> float:
+    """Return the sigma at which one normal number is as unlikely as these together (χ² with as many degrees of freedom).
+
+    Examples
+    --------
+    One number of three standard deviations:
+
+    >>> import numpy as np
+    >>> round(equivalent_sigma(np.array([3.0]), np.eye(1)), 6)
+    3.0
+    """
+    chi_square = float(values @ np.linalg.solve(covariance, values))
+    chance = max(float(chi2.sf(chi_square, len(values))), SMALLEST_CHANCE)
+    return float(norm.isf(chance / 2))
