@@ -16,8 +16,10 @@ PIP_INSTALL := $(BIN)/python -m pip install --quiet --quiet --disable-pip-versio
 # The glass hemisphere of the paper, with 2,696 small photos: half a minute of simulation on two cores.
 DEMO_SCENE := hemisphere --size 240 --display-columns 1536 --width-px 24 --step-px 4
 COMMANDS_PAGE := docs/reference/commands.md
+# Scripts of tests/bench that count faults by the hundred and take from minutes to an hour.
+ENDURANCE := camera_soak kill_captures kill_wire_captures cut_power fill_disk quiet_captures random_captures
 
-.PHONY: help setup demo test check lint format bench docs commands picture clean
+.PHONY: help setup demo test check lint format bench endurance docs commands picture clean
 
 help:  ## list the targets
 	@grep -hE '^[a-z]+:.*## ' Makefile | sed -E 's/^([a-z]+):[^#]*## (.*)/make \1\t\2/' | expand -t 16
@@ -49,10 +51,14 @@ format: .venv/full.stamp  ## put the sources into the project's format
 bench: .venv/full.stamp  ## measure time and peak memory; each script in tests/bench prints JSON
 	@for script in tests/bench/*.py; do \
 		name="$$(basename "$$script" .py)"; \
+		case " $(ENDURANCE) " in *" $$name "*) continue;; esac; \
 		case "$$name" in _*) continue;; esac; \
 		echo "# $$name"; \
 		$(BIN)/python -m "tests.bench.$$name"; \
 	done
+
+endurance: .venv/full.stamp  ## kill, starve and spoil captures by the hundred; takes an hour or two
+	@for name in $(ENDURANCE); do echo "# $$name"; $(BIN)/python -m "tests.bench.$$name"; done
 
 docs: .venv/full.stamp  ## build the documentation site into docs/_build/html; a warning is an error
 	$(BIN)/python -m sphinx -W --keep-going -q -b html docs docs/_build/html

@@ -3,7 +3,7 @@
 ``rate``: photos a second of the same capture with simulated devices and through the wire (libgphoto2 on PTP/IP, Chromium, ptys),
 on the simulated clock and without any delay of a device, so that what is left is our own work and the drivers'.
 
-``overhead``: a capture in real time with a camera that takes 0.5 s a photo. The time within sweeps, from their first photo
+``overhead``: a capture in real time with a camera that takes 0.5 s a photo, and with live decoding. The time within sweeps, from their first photo
 to their last, over the camera's own time; what was waited for the display to settle is left out, and told. With the frame tag
 read (the next frame is shown while the photo is on its way) and without (it is not).
 """
@@ -125,6 +125,7 @@ def tagged_rig(model: Model, *, columns: int, step_px: float, read: bool) -> tup
     data["tank"]["pump_rate_ml_per_min"] = FAST_PUMP_ML_PER_MIN
     data["stage"]["velocity_mm_per_s"] = FAST_STAGE_MM_PER_S
     data["camera"]["settings"] = SHUTTER[model]
+    data["live"] = {}
     data["frame_tag"] = TAG
     config = parse_config(data, source="bench")
     if read:
