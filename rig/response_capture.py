@@ -229,7 +229,7 @@ class ResponseCapture:
             )
         found = fit_flicker(swings)
         capture_s = self.white.exposure_s
-        safe = tuple(f"{each.numerator}/{each.denominator}" for each in safe_times(found, largest_swing=LARGEST_SWING))
+        safe = tuple(str(each) for each in safe_times(found, largest_swing=LARGEST_SWING))
         self.say(
             f"flicker: {found.frequency_hz:.1f} ± {found.frequency_sd_hz:.1f} Hz, {100 * found.depth:.0f} % deep"
             if found.found
