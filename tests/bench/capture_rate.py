@@ -3,9 +3,9 @@
 ``rate``: photos a second of the same capture with simulated devices and through the wire (libgphoto2 on PTP/IP, Chromium, ptys),
 on the simulated clock and without any delay of a device, so that what is left is our own work and the drivers'.
 
-``overhead``: a capture in real time with a camera that takes 0.5 s a photo, and with live decoding. The time within sweeps, from their first photo
-to their last, over the camera's own time; what was waited for the display to settle is left out, and told. With the frame tag
-read (the next frame is shown while the photo is on its way) and without (it is not).
+``overhead``: a capture in real time with a camera that takes 0.5 s a photo, and with live decoding. The time within sweeps,
+from their first photo to their last, over the camera's own time; what was waited for the display to settle is left out, and
+told. With the frame tag read (the next frame is shown while the photo is on its way) and without (it is not).
 """
 
 import argparse
