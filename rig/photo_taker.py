@@ -22,6 +22,7 @@ from rig.stage_moves import StageMoves
 from rig.steps import PhotoKey, TakePhoto
 from rig.tag_check import TagCheck
 
+SWEEPS = ("x", "y")
 SHOW_TIMEOUT_S = 10.0
 # Libgphoto2 itself gives up on a photo after 90 s; ours is the shorter leash.
 PHOTO_TIMEOUT_S = 60.0
@@ -109,8 +110,9 @@ class PhotoTaker:
         while self._spoiled is not None:
             (before, why), self._spoiled = self._spoiled, None
             self._take_again(before, why)
-        same_sweep = following is not None and following.key[:2] == photo.key[:2]
-        if self._fault_ahead is not None or not same_sweep:
+        # Every other photo is looked at as soon as it is taken.
+        sweep_goes_on = photo.sweep in SWEEPS and following is not None and following.key[:2] == photo.key[:2]
+        if self._fault_ahead is not None or not sweep_goes_on:
             self._finish()
         fault, self._fault_ahead = self._fault_ahead, None
         if fault is not None:

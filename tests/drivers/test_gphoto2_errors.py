@@ -28,7 +28,7 @@ from drivers.photo_check import fault_of_file
         (-53, DeviceBusyError, "gio mount -s gphoto2"),
         (-60, DeviceBusyError, "close that program"),
         (-105, DeviceNotFoundError, "switch it on"),
-        (-108, DeviceProtocolError, "taken again"),
+        (-108, DeviceProtocolError, "take it again"),
         (-110, DeviceBusyError, "memory card"),
     ],
 )

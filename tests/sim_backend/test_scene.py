@@ -1,6 +1,7 @@
 """Scenes: loading, sizes, and the objects they hold."""
 
 import re
+import tomllib
 from pathlib import Path
 
 import numpy as np
@@ -8,7 +9,7 @@ import pytest
 
 from sim_backend.light_paths import meet_display, pixel_centre_paths
 from sim_backend.photography import Photographer
-from sim_backend.scene import SceneError, SceneVariation, load_scene, scene_names
+from sim_backend.scene import Scene, SceneError, SceneVariation, load_scene, scene_names
 from sim_backend.truth import Truth, TruthStatus, save_truth
 
 HEMISPHERE = Path(__file__).parents[2] / "sim_backend" / "scenes" / "hemisphere.toml"
@@ -200,12 +201,18 @@ def test_the_paths_in_air_and_liquid_cross_at_the_true_point_and_give_its_normal
 
 def test_the_scene_of_the_guide_can_be_photographed(tmp_path: Path) -> None:
     page = (Path(__file__).parents[2] / "docs" / "how-to" / "write-a-scene.md").read_text("utf-8")
-    whole, variation = re.findall(r"```toml\n(.*?)```", page, re.DOTALL)
+    whole, *additions = re.findall(r"```toml\n(.*?)```", page, re.DOTALL)
     path = tmp_path / "mine.toml"
-    path.write_text(whole + variation, "utf-8")
-    scene = load_scene(path).resized(camera_columns=48)
+    path.write_text(whole, "utf-8")
+    assert load_scene(path).display.cover_glass is not None
+    everything = tomllib.loads(whole)
+    for addition in additions:
+        for table, values in tomllib.loads(addition).items():
+            everything[table] = everything.get(table, {}) | values
+    scene = Scene.model_validate(everything).resized(camera_columns=48)
     assert scene.index_variation is not None
-    assert scene.display.cover_glass is not None
+    assert scene.display.changes_with_time
+    assert scene.marks is not None
     assert (Photographer(scene).truth().status == TruthStatus.JUDGED).any()
 
 
