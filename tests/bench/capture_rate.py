@@ -158,11 +158,12 @@ def sweep_times_s(folder: Path) -> list[list[float]]:
         if record.sweep in ("x", "y"):
             at_s = datetime.fromisoformat(record.time).timestamp()
             sweeps.setdefault((record.set, record.sweep), []).append(at_s)
-    return list(sweeps.values())
+    # A photo is recorded while the next one comes, but the last of a sweep at once: it would make the sweep look shorter.
+    return [times_s[:-1] for times_s in sweeps.values()]
 
 
 def within_sweeps(folder: Path) -> tuple[float, int]:
-    """Return the time from the first photo of each sweep to its last, and how many photos were taken in it."""
+    """Return the time from the first photo of each sweep to its last but one, and how many were taken in it."""
     sweeps = sweep_times_s(folder)
     return sum(times_s[-1] - times_s[0] for times_s in sweeps), sum(len(times_s) - 1 for times_s in sweeps)
 
