@@ -8,16 +8,16 @@ from typing import Annotated
 import typer
 from rich.console import Console
 
-from recon.correspondence import Method
 from recon.errors import ReconError
 from recon.evaluation import command as evaluation_command
-from recon.importer import import_folder, read_layout
 from recon.metrics import Metrics
 from recon.progress import progress_bar
 from recon.reconstruct import Limits
-from recon.session import open_session
+from recon.sessions.importer import import_folder, read_layout
+from recon.sessions.session import open_session
+from recon.sessions.wholeness import faults
+from recon.sweeps.correspondence import Method
 from recon.view import register as register_view
-from recon.wholeness import faults
 
 app = typer.Typer(
     help="Turn saved sessions of a transparent object into points, normals and a mesh.",

@@ -6,15 +6,15 @@ from dataclasses import dataclass
 import numpy as np
 from jaxtyping import Float64, UInt8
 
-from recon.beside import liquid_surface
-from recon.correspondence import Method, SweepResult
-from recon.entry_point import EntryPoints, entry_points
-from recon.light_paths import LightPaths, light_paths
-from recon.manifest import CaptureSet, Manifest
+from recon.geometry.beside import liquid_surface
+from recon.geometry.entry_point import EntryPoints, entry_points
+from recon.geometry.light_paths import LightPaths, light_paths
+from recon.geometry.normals import normal_sd_rad, normals_from_angles, normals_from_paths
 from recon.maps import Maps
-from recon.normals import normal_sd_rad, normals_from_angles, normals_from_paths
-from recon.patterns import screen_mm
+from recon.patterns.sweep_frames import screen_mm
+from recon.sessions.manifest import CaptureSet, Manifest
 from recon.status import PixelStatus
+from recon.sweeps.correspondence import Method, SweepResult
 
 # The scatter of the parabola's vertex for a sharp stripe, in steps: its bias changes from pixel to pixel.
 PARABOLA_SD_PX = 0.17

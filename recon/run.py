@@ -12,11 +12,7 @@ import numpy as np
 
 from recon.calibration.calibration_file import CALIBRATION_NAME
 from recon.calibration.session_calibration import calibrated_manifest, calibration_path, with_calibration
-from recon.correspondence import Method, SweepResult
-from recon.correspondence_store import stored_or_decoded
 from recon.errors import ReconError
-from recon.journal import JOURNAL_NAME
-from recon.manifest import Manifest
 from recon.maps import MAPS_NAME, Maps, save_maps
 from recon.metrics import (
     METRICS_NAME,
@@ -26,20 +22,24 @@ from recon.metrics import (
     Statistic,
     save_metrics,
 )
-from recon.photos import read_grey
 from recon.progress import progress_bar
 from recon.reconstruct import Crossing, Limits, cross_paths, maps_of
 from recon.report.writer import write_report
-from recon.scene_stage import SceneStage, scene_stage
-from recon.session import MANIFEST_NAME, Session, open_session
+from recon.scene.scene_stage import SceneStage, scene_stage
+from recon.sessions.journal import JOURNAL_NAME
+from recon.sessions.manifest import Manifest
+from recon.sessions.photos import read_grey
+from recon.sessions.session import MANIFEST_NAME, Session, open_session
+from recon.sessions.wholeness import check_whole
 from recon.stage_timer import StageTimer
 from recon.status import PixelStatus
 from recon.surface.files import write_cloud_ply, write_mesh_glb, write_mesh_ply
 from recon.surface.mesh import Mesh
-from recon.surface_stage import surface_of
-from recon.thin_stage import thin_object
+from recon.surface.surface_stage import surface_of
+from recon.surface.thin_stage import thin_object
+from recon.sweeps.correspondence import Method, SweepResult
+from recon.sweeps.correspondence_store import stored_or_decoded
 from recon.verdict import gap_ratio, statistic, verdict
-from recon.wholeness import check_whole
 
 LIBRARIES = ("refractive-scan", "numpy", "scipy", "opencv-contrib-python-headless", "simplejpeg", "pyamg")
 CURVES_SHOWN = 8

@@ -4,7 +4,7 @@ from typing import Annotated, Literal, Self
 
 from pydantic import Field, model_validator
 
-from recon.manifest import Finite, Part, Positive
+from recon.sessions.manifest import Finite, Part, Positive
 
 Share = Annotated[float, Field(ge=0, le=1, allow_inf_nan=False)]
 PhotoPixel = Annotated[int, Field(ge=0)]

@@ -11,28 +11,28 @@ from rich.console import Console
 
 from drivers.errors import DeviceError
 from recon.errors import ReconError
-from recon.session import open_session
+from recon.sessions.session import open_session
 from rig import options
-from rig.calibrate_cli import app as calibrate_app
-from rig.camera_cli import app as camera_app
-from rig.capture import capture as run_capture
+from rig.by_hand.camera_cli import app as camera_app
+from rig.by_hand.display_cli import app as display_app
+from rig.by_hand.emulate_cli import emulate
+from rig.by_hand.pump_cli import app as pump_app
+from rig.by_hand.stage_cli import app as stage_app
+from rig.calibrating.calibrate_cli import app as calibrate_app
+from rig.capturing.capture import capture as run_capture
+from rig.capturing.known import Known, known_of
+from rig.capturing.person import person_at_terminal
+from rig.capturing.session_check import check_session
+from rig.checking.doctor_cli import doctor
 from rig.config import DEFAULT_FILE
 from rig.devices import open_devices
-from rig.display_cli import app as display_app
-from rig.doctor_cli import doctor
-from rig.emulate_cli import emulate
 from rig.errors import CaptureStopped, ConfigError, RigError
-from rig.known import Known, known_of
 from rig.options import choose_rig, rig_of_session
-from rig.person import person_at_terminal
-from rig.plan import plan_capture
-from rig.plan_table import print_plan
-from rig.pump_cli import app as pump_app
-from rig.scene_config import SceneOptions, config_of_scene, open_scene
-from rig.session_check import check_session
-from rig.simulate import simulate_session
-from rig.stage_cli import app as stage_app
-from rig.steps import step_text
+from rig.planning.plan import plan_capture
+from rig.planning.plan_table import print_plan
+from rig.planning.steps import step_text
+from rig.rehearsing.scene_config import SceneOptions, config_of_scene, open_scene
+from rig.rehearsing.simulate import simulate_session
 from sim_backend.scene import load_scene, scene_names
 
 app = typer.Typer(

@@ -13,9 +13,9 @@ from typing import Annotated, Literal, Self
 
 from pydantic import Field, ValidationError, model_validator
 
-from recon.coarse_scan import scan_bits
-from recon.frame_tag import TagPlace
-from recon.manifest import (
+from recon.patterns.coarse_scan import scan_bits
+from recon.patterns.frame_tag import TagPlace
+from recon.sessions.manifest import (
     Axis,
     CameraBody,
     DisplayPanel,

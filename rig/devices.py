@@ -19,14 +19,14 @@ from drivers.stripe_player import StripePlayer
 from drivers.stripe_player.address import parse_address
 from drivers.tank_board import TankBoard
 from drivers.zaber_stage import ZaberStage
-from recon.manifest import DeviceRecord
+from recon.sessions.manifest import DeviceRecord
+from rig.capturing.operators import ConsoleOperator, Operator
 from rig.config import RigConfig
-from rig.emulation import emulate_rig
 from rig.errors import ConfigError
-from rig.ledger_book import LedgerBook, book_of, real_book
-from rig.operators import ConsoleOperator, Operator
-from rig.rehearsal import SimulatedOperator, Simulation, ledger_file, open_world
+from rig.rehearsing.emulation import emulate_rig
+from rig.rehearsing.rehearsal import SimulatedOperator, Simulation, ledger_file, open_world
 from rig.state_folder import state_folder
+from rig.tank.ledger_book import LedgerBook, book_of, real_book
 from sim_backend.camera import SimulatedCamera
 from sim_backend.clock import RealClock
 from sim_backend.display import SimulatedDisplay

@@ -10,7 +10,7 @@
     │   ├── WrongLevelError  the tank does not hold what it should after a flow
     │   ├── NotStoppedError  pump or stage did not obey a stop
     │   ├── WrongFrameError  a photo shows another frame than was commanded, or its tag cannot be read
-    │   ├── InterlockError   something must not be done as things stand (rig.interlocks)
+    │   ├── InterlockError   something must not be done as things stand (rig.tank.interlocks)
     │   ├── LevelUnknownError nobody knows what the tank holds
     │   ├── SceneMovedError  camera, object, display, light or liquid did not stay as they were
     │   └── DiskLowError     there is no room for the next photo

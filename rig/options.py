@@ -6,12 +6,12 @@ from typing import Annotated, Literal
 
 import typer
 
-from recon.session import open_session
+from recon.sessions.session import open_session
+from rig.capturing.session_manifest import config_of_session, scene_of_session
 from rig.config import DEFAULT_FILE, RigConfig, load_config
 from rig.errors import ConfigError
-from rig.rehearsal import Simulation
-from rig.scene_config import SceneOptions, config_of_scene, open_scene
-from rig.session_manifest import config_of_session, scene_of_session
+from rig.rehearsing.rehearsal import Simulation
+from rig.rehearsing.scene_config import SceneOptions, config_of_scene, open_scene
 from sim_backend.scene import Scene
 
 DEFAULT_SCENE = "semi_ellipsoid"

@@ -14,8 +14,8 @@ import pyvista
 from matplotlib.figure import Figure
 
 from recon.maps import load_maps
-from recon.photos import read_grey
-from recon.session import open_session
+from recon.sessions.photos import read_grey
+from recon.sessions.session import open_session
 
 TARGET = Path(__file__).with_name("scan.png")
 SCENE = ["hemisphere", "--size", "480", "--display-columns", "2048", "--width-px", "24", "--step-px", "4"]

@@ -20,8 +20,8 @@ from recon.calibration.fep_error import Geometry, fep_error
 from recon.calibration.intrinsics import LensEstimate
 from recon.calibration.lens import intrinsics_of
 from recon.calibration.wet_pose import slips
-from recon.journal import now_text
-from recon.manifest import CameraBody, CoverGlass, DisplayPanel
+from recon.sessions.journal import now_text
+from recon.sessions.manifest import CameraBody, CoverGlass, DisplayPanel
 
 
 def assemble(

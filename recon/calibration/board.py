@@ -12,7 +12,7 @@ import numpy as np
 from jaxtyping import Float64, UInt8
 
 from recon.calibration.errors import CalibrationError
-from recon.manifest import DisplayPanel
+from recon.sessions.manifest import DisplayPanel
 
 Layout = Literal["new", "legacy"]
 

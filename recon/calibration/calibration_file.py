@@ -16,8 +16,8 @@ from recon.calibration.bundle import BundleResult
 from recon.calibration.display_poses import AIR_PANELS, manifest_pose
 from recon.calibration.errors import CalibrationError
 from recon.calibration.wet_pose import WET_PANELS
-from recon.disk import Disk, write_fault, write_whole
-from recon.manifest import (
+from recon.sessions.disk import Disk, write_fault, write_whole
+from recon.sessions.manifest import (
     CameraBody,
     CaptureSet,
     DeviceRecord,

@@ -3,7 +3,7 @@
 import numpy as np
 from jaxtyping import Bool, Float64, UInt8, UInt16
 
-from recon.photos import saturation_count
+from recon.sessions.photos import saturation_count
 
 Photo = UInt8[np.ndarray, "rows cols"] | UInt16[np.ndarray, "rows cols"]
 Region = Bool[np.ndarray, "rows cols"]

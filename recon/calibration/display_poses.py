@@ -22,7 +22,7 @@ from recon.calibration.errors import CalibrationError
 from recon.calibration.lens import Lens, camera_matrix
 from recon.calibration.sight_line import PanelPose
 from recon.calibration.significance import equivalent_sigma
-from recon.manifest import CoverGlass, Pose
+from recon.sessions.manifest import CoverGlass, Pose
 
 AIR_PANELS = ("pos0_air", "pos1_air")
 # A straight stage is called crooked once in 400 calibrations.

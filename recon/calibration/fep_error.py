@@ -16,10 +16,10 @@ from recon.calibration.bundle_state import moved_pose
 from recon.calibration.display_poses import AIR_PANELS, manifest_pose
 from recon.calibration.sight_line import PanelPose, bent, places_from
 from recon.calibration.wet_pose import WET_PANELS
-from recon.entry_point import entry_points
-from recon.light_paths import light_paths
-from recon.manifest import CoverGlass
-from recon.normals import normals_from_paths
+from recon.geometry.entry_point import entry_points
+from recon.geometry.light_paths import light_paths
+from recon.geometry.normals import normals_from_paths
+from recon.sessions.manifest import CoverGlass
 
 SETS = (*AIR_PANELS, *WET_PANELS)
 NUDGE = np.array([1e-6] * 3 + [1e-4] * 3)  # rad, mm

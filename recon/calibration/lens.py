@@ -6,7 +6,7 @@ The numbers are focal_x_px, focal_y_px, centre_x_px, centre_y_px, k1, k2, p1, p2
 import numpy as np
 from jaxtyping import Float64
 
-from recon.manifest import Intrinsics
+from recon.sessions.manifest import Intrinsics
 
 Lens = Float64[np.ndarray, " 9"]
 LENS_NAMES = ("focal_x_px", "focal_y_px", "centre_x_px", "centre_y_px", "k1", "k2", "p1", "p2", "k3")

@@ -7,7 +7,7 @@ import numpy as np
 from jaxtyping import Float64, UInt8, UInt16
 
 from recon.calibration.display_light import Region
-from recon.photos import PLANE_OF_PRIMARY
+from recon.sessions.photos import PLANE_OF_PRIMARY
 
 Colours = UInt8[np.ndarray, "rows cols 3"] | UInt16[np.ndarray, "rows cols 3"]
 Primary = Literal["white", "red", "green", "blue"]

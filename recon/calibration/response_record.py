@@ -17,8 +17,8 @@ from recon.calibration.flicker import Bands, Flicker, Swing
 from recon.calibration.latency import Latency
 from recon.calibration.level_response import LevelResponse
 from recon.calibration.primary_planes import PrimaryPlanes
-from recon.disk import Disk, write_fault, write_whole
-from recon.manifest import DeviceRecord, DisplayPanel, Finite, Part, Positive
+from recon.sessions.disk import Disk, write_fault, write_whole
+from recon.sessions.manifest import DeviceRecord, DisplayPanel, Finite, Part, Positive
 
 RESPONSE_NAME = "response.json"
 RESPONSE_VERSION = 1

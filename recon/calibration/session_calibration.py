@@ -5,8 +5,8 @@ from pathlib import Path
 
 from recon.calibration.calibration_file import CALIBRATION_NAME, calibrated, read_calibration
 from recon.calibration.validity import accepted
-from recon.manifest import Manifest
-from recon.session import MANIFEST_NAME, Session, parse_manifest
+from recon.sessions.manifest import Manifest
+from recon.sessions.session import MANIFEST_NAME, Session, parse_manifest
 
 
 def calibration_path(session: Session, given: Path | None) -> Path | None:

@@ -6,7 +6,7 @@ from typing import Literal
 
 from recon.calibration.calibration_file import Calibration
 from recon.calibration.errors import CalibrationError
-from recon.manifest import Manifest
+from recon.sessions.manifest import Manifest
 
 # A setting whose name has one of these words moves the lens's rays; shutter time and sensitivity do not.
 LENS_WORDS = ("aperture", "f-number", "fnumber", "focus", "focal", "zoom", "lens")

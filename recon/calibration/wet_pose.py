@@ -20,7 +20,7 @@ from recon.calibration.display_poses import AIR_PANELS
 from recon.calibration.errors import CalibrationError
 from recon.calibration.sight_line import LiquidPlane
 from recon.calibration.significance import equivalent_sigma
-from recon.manifest import CoverGlass
+from recon.sessions.manifest import CoverGlass
 
 WET_PANELS = ("pos0_liquid", "pos1_liquid")
 FOUND_SIGMA = 4.0  # at two positions: 1 in 8,000 without any slip

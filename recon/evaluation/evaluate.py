@@ -27,7 +27,7 @@ from recon.evaluation.table import (
 from recon.evaluation.truth import Truth, compare_with_truth, judged_points, load_truth
 from recon.maps import MAPS_NAME, Maps, load_maps
 from recon.metrics import METRICS_NAME, load_metrics
-from recon.session import TRUTH_NAME
+from recon.sessions.session import TRUTH_NAME
 
 EVALUATION_NAME = "evaluation.json"
 MOST_FACETS = 6  # of the paper's ornament

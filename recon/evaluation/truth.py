@@ -17,7 +17,7 @@ from jaxtyping import Bool, Float64
 from recon.errors import ReconError
 from recon.evaluation.spread import Spread, angle_between_rad, spread_of
 from recon.maps import Maps
-from recon.session import TRUTH_NAME
+from recon.sessions.session import TRUTH_NAME
 
 
 class TruthStatus(IntEnum):

@@ -7,7 +7,7 @@ display's centre. z is therefore the distance in front of the display, and is wh
 import numpy as np
 from jaxtyping import Float64
 
-from recon.manifest import Manifest, Pose
+from recon.sessions.manifest import Manifest, Pose
 
 
 def frame_from_world(manifest: Manifest) -> Float64[np.ndarray, "4 4"]:

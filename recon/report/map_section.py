@@ -6,7 +6,6 @@ from dataclasses import dataclass
 import numpy as np
 from jaxtyping import Float, Float64, UInt8
 
-from recon.manifest import Manifest
 from recon.maps import Maps
 from recon.report.charts import Scale, area_path
 from recon.report.display_frame import depths, frame_from_world, rotate
@@ -20,6 +19,7 @@ from recon.report.map_pictures import (
 )
 from recon.report.numbers import LengthUnit, number, share
 from recon.report.panel import Panel, Section
+from recon.sessions.manifest import Manifest
 from recon.status import REASONS, PixelStatus
 
 HISTOGRAM_SIZE, HISTOGRAM_BINS = (440, 104), 60

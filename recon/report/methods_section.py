@@ -1,9 +1,9 @@
 """A paragraph for a paper's methods section, made from the session, and the work to cite."""
 
-from recon.manifest import Manifest
 from recon.metrics import Metrics
 from recon.report.numbers import LengthUnit, number
 from recon.report.panel import Panel, Section
+from recon.sessions.manifest import Manifest
 
 CITATION = (
     "K. Han, K.-Y. K. Wong, M. Liu: Dense Reconstruction of Transparent Objects by Altering Incident Light Paths "

@@ -4,12 +4,12 @@ from pathlib import Path
 
 from recon.calibration.errors import CalibrationError
 from recon.calibration.response_record import ResponseRecord
-from recon.disk import write_fault
 from recon.metrics import Verdict
 from recon.report.numbers import NOTHING, number
 from recon.report.page import render_page
 from recon.report.panel import Banner, Panel, Section, Table
 from recon.report.response_section import response_section
+from recon.sessions.disk import write_fault
 
 RESPONSE_PAGE_NAME = "response.html"
 

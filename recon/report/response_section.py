@@ -7,10 +7,10 @@ import numpy as np
 
 from recon.calibration.latency import new_share
 from recon.calibration.response_record import ResponseRecord
-from recon.photos import PLANE_OF_PRIMARY
 from recon.report.charts import Scale, line_path
 from recon.report.numbers import number
 from recon.report.panel import Panel, Section, Table
+from recon.sessions.photos import PLANE_OF_PRIMARY
 
 WIDTH, HEIGHT, LEFT, RIGHT, BOTTOM = 460, 230, 48, 10, 40
 SMOOTH = 200

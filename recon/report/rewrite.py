@@ -9,7 +9,7 @@ import trimesh
 from recon.maps import MAPS_NAME, load_maps
 from recon.metrics import METRICS_NAME, load_metrics
 from recon.report.writer import REPORT_NAME, write_report
-from recon.session import MANIFEST_NAME, parse_manifest
+from recon.sessions.session import MANIFEST_NAME, parse_manifest
 
 
 def rewrite_report(run_folder: Path, evaluation: Sequence[Mapping[str, object]]) -> Path | None:

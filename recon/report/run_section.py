@@ -2,10 +2,10 @@
 
 from collections.abc import Mapping
 
-from recon.manifest import Manifest
 from recon.metrics import Metrics
 from recon.report.numbers import duration, memory, number
 from recon.report.panel import Banner, Panel, Section, Table
+from recon.sessions.manifest import Manifest
 
 KINDS = {
     "real": "real",

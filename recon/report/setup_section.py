@@ -3,13 +3,13 @@
 import numpy as np
 from jaxtyping import Float64
 
-from recon.manifest import Manifest, Pose
 from recon.maps import Maps
 from recon.report.charts import Scale, line_path
 from recon.report.display_frame import frame_from_world, screen_corners, transform_points
 from recon.report.numbers import LengthUnit, number
 from recon.report.panel import Panel, Section, Table
 from recon.report.point_scene import SEED, box_of
+from recon.sessions.manifest import Manifest, Pose
 
 DRAWING_WIDTH = 720
 AXIS_HEIGHT = 46

@@ -4,7 +4,6 @@ import matplotlib
 import numpy as np
 from jaxtyping import Float64
 
-from recon.manifest import Manifest
 from recon.maps import Maps
 from recon.report import still
 from recon.report.display_frame import frame_from_world, rotate, screen_corners, transform_points
@@ -26,6 +25,7 @@ from recon.report.point_scene import (
     packed_places,
     sd_at,
 )
+from recon.sessions.manifest import Manifest
 
 STOPS = 16
 

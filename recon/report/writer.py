@@ -8,7 +8,6 @@ import numpy as np
 from jaxtyping import Float, Integer
 
 from recon.errors import ReconError
-from recon.manifest import Manifest
 from recon.maps import Maps
 from recon.metrics import Metrics
 from recon.report.capture_section import capture_section
@@ -22,6 +21,7 @@ from recon.report.result_section import result_section
 from recon.report.run_section import device_banners, run_section, warnings_section
 from recon.report.setup_section import setup_section
 from recon.report.surface_section import surface_section
+from recon.sessions.manifest import Manifest
 
 REPORT_NAME = "report.html"
 # Mail servers and review systems refuse larger attachments.

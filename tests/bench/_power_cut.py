@@ -11,7 +11,7 @@ from collections.abc import Callable
 from dataclasses import dataclass, field
 from pathlib import Path
 
-from recon.disk import Disk
+from recon.sessions.disk import Disk
 
 FOLDER = -1
 SECTOR_BYTES = 512
@@ -21,7 +21,7 @@ Names = dict[str, int | None]  # a name's file, FOLDER, or None where it was rem
 
 @dataclass(frozen=True, slots=True)
 class Operation:
-    """One call of :class:`recon.disk.Disk`; a file that is open is named by a number of its own."""
+    """One call of :class:`recon.sessions.disk.Disk`; a file that is open is named by a number of its own."""
 
     kind: str
     path: str = ""

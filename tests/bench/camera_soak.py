@@ -26,9 +26,9 @@ import simplejpeg
 from drivers.errors import DeviceError
 from drivers.gphoto2_camera import Gphoto2Camera
 from drivers.protocols import Photo
-from recon.frame_tag import ACROSS_CELLS, tag_levels
-from recon.frame_tag_reading import read_tag
-from rig.exposure_check import check_exposure
+from recon.patterns.frame_tag import ACROSS_CELLS, tag_levels
+from recon.patterns.frame_tag_reading import read_tag
+from rig.capturing.exposure_check import check_exposure
 from sim_backend.exposure import blended
 from sim_backend.ptpip.process import MODELS, EmulatedCamera, Model, emulate_camera
 from sim_backend.ptpip.world_photos import numbered

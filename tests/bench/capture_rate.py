@@ -25,15 +25,15 @@ import simplejpeg
 from rich.console import Console
 
 from drivers.protocols import Clock
-from recon.frame_tag_reading import find_tag
-from recon.journal import read_photos
-from rig.capture import capture
+from recon.patterns.frame_tag_reading import find_tag
+from recon.sessions.journal import read_photos
+from rig.capturing.capture import capture
 from rig.config import RigConfig, parse_config
 from rig.devices import open_devices
-from rig.plan import all_photos, set_name, set_order
-from rig.rehearsal import Simulation
-from rig.scene_config import SceneOptions, config_of_scene, open_scene
-from rig.simulate import take
+from rig.planning.plan import all_photos, set_name, set_order
+from rig.rehearsing.rehearsal import Simulation
+from rig.rehearsing.scene_config import SceneOptions, config_of_scene, open_scene
+from rig.rehearsing.simulate import take
 from sim_backend.photography import Photographer
 from sim_backend.ptpip.process import MODELS, Model
 from sim_backend.scene import Scene

@@ -14,12 +14,12 @@ from tempfile import TemporaryDirectory
 
 import numpy as np
 
-import rig.session_check
-from recon.disk import Disk
-from recon.session import Session, SessionWriter, open_session
-from rig.scene_config import SceneOptions, config_of_scene, open_scene
-from rig.session_check import check_session
-from rig.session_manifest import manifest_of
+import rig.capturing.session_check
+from recon.sessions.disk import Disk
+from recon.sessions.session import Session, SessionWriter, open_session
+from rig.capturing.session_check import check_session
+from rig.capturing.session_manifest import manifest_of
+from rig.rehearsing.scene_config import SceneOptions, config_of_scene, open_scene
 
 
 def write_session(folder: Path, *, photos: int, photo_bytes: int) -> Session:
@@ -45,7 +45,7 @@ def drop_from_cache(session: Session) -> None:
 
 def timed_s(session: Session, *, threads: int) -> float:
     """Return how long the check takes on so many threads."""
-    rig.session_check.MOST_THREADS = threads
+    rig.capturing.session_check.MOST_THREADS = threads
     begun_s = time.perf_counter()
     found = check_session(session)
     if len(found.whole) != len(session.photos):
@@ -60,7 +60,7 @@ def main() -> None:
     parser.add_argument("--photo-mb", type=float, default=5.0)
     parser.add_argument("--folder", type=Path, help="on which disk")
     given = parser.parse_args()
-    most = rig.session_check.MOST_THREADS
+    most = rig.capturing.session_check.MOST_THREADS
     result: dict[str, object] = {"photos": given.photos, "photo_mb": given.photo_mb, "cores": os.cpu_count()}
     with TemporaryDirectory(prefix="check-", dir=given.folder) as folder:
         session = write_session(Path(folder) / "session", photos=given.photos, photo_bytes=round(given.photo_mb * 1e6))

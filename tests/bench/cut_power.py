@@ -21,15 +21,15 @@ from typing import Any
 
 from rich.console import Console
 
-import recon.session
+import recon.sessions.session
 from recon.errors import SessionError
-from recon.session import SessionWriter
-from rig.capture import capture
+from recon.sessions.session import SessionWriter
+from rig.capturing.capture import capture
 from rig.config import RigConfig
 from rig.devices import simulated_devices
-from rig.plan import all_photos
-from rig.rehearsal import Simulation, fresh_state, open_world
-from rig.scene_config import SceneOptions, config_of_scene, open_scene
+from rig.planning.plan import all_photos
+from rig.rehearsing.rehearsal import Simulation, fresh_state, open_world
+from rig.rehearsing.scene_config import SceneOptions, config_of_scene, open_scene
 from sim_backend.photography import Photographer
 from sim_backend.scene import Scene
 from sim_backend.world import WorldState
@@ -97,7 +97,7 @@ def record_capture(bench: Bench, root: Path, world_state: WorldState, shutter: l
         for device in (devices.camera, devices.display, devices.stage, devices.pump, devices.level_sensor):
             if device is not None:
                 stack.enter_context(device)
-        recon.session.DISK = disk
+        recon.sessions.session.DISK = disk
         SessionWriter.save_photo = remembered  # type: ignore[method-assign]
         try:
             session = root / "session"
@@ -106,7 +106,7 @@ def record_capture(bench: Bench, root: Path, world_state: WorldState, shutter: l
             capture(bench.config, session, devices=devices, scene=bench.scene, resume=resume, console=quiet)
         finally:
             SessionWriter.save_photo = save_photo  # type: ignore[method-assign]
-            recon.session.DISK = recon.session.Disk()
+            recon.sessions.session.DISK = recon.sessions.session.Disk()
         moment()
     record.operations = disk.operations
     return record

@@ -56,9 +56,9 @@ def write_session(folder: Path, *, size: int, places: int) -> None:
 
 def decode(folder: Path, method: str) -> None:
     """Decode the first sweep and print what it took."""
-    from recon.correspondence import decode_sweep
-    from recon.session import open_session
+    from recon.sessions.session import open_session
     from recon.stage_timer import peak_memory_mb
+    from recon.sweeps.correspondence import decode_sweep
 
     session = open_session(folder)
     before = peak_memory_mb()

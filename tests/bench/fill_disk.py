@@ -19,14 +19,14 @@ from typing import Any
 
 from rich.console import Console
 
-import rig.disk_room
+import rig.capturing.disk_room
 from recon.errors import SessionError
-from rig.capture import capture
+from rig.capturing.capture import capture
 from rig.config import RigConfig
 from rig.devices import simulated_devices
-from rig.plan import all_photos
-from rig.rehearsal import Simulation, open_world
-from rig.scene_config import SceneOptions, config_of_scene, open_scene
+from rig.planning.plan import all_photos
+from rig.rehearsing.rehearsal import Simulation, open_world
+from rig.rehearsing.scene_config import SceneOptions, config_of_scene, open_scene
 from sim_backend.photography import Photographer
 from tests.bench._crash_judge import Judge, ShutterLog, good_photos
 
@@ -116,7 +116,7 @@ def run_session(bench: Bench, judge: Judge, name: str, *, pages: int, by_itself:
 def inside(disk: Path, *, sessions: int, seed: int) -> dict[str, object]:
     """Mount the disk, fill it, judge."""
     subprocess.run(["mount", "-t", "tmpfs", "-o", f"size={DISK_BYTES}", "tmpfs", str(disk)], check=True)
-    rig.disk_room.DISK_RESERVE_BYTES = 0
+    rig.capturing.disk_room.DISK_RESERVE_BYTES = 0
     rng = random.Random(seed)
     met: Counter[str] = Counter()
     faults = {}

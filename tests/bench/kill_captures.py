@@ -21,11 +21,11 @@ from tempfile import TemporaryDirectory
 from typing import Any, NoReturn
 
 import rig.devices
-from recon.session import open_session
+from recon.sessions.session import open_session
+from rig.capturing.session_manifest import config_of_session
 from rig.cli import main as rig_main
-from rig.plan import all_photos
-from rig.scene_config import SceneOptions, open_scene
-from rig.session_manifest import config_of_session
+from rig.planning.plan import all_photos
+from rig.rehearsing.scene_config import SceneOptions, open_scene
 from sim_backend.clock import SimulatedClock
 from sim_backend.photography import Photographer
 from sim_backend.world import Sight, World

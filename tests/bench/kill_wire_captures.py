@@ -29,16 +29,16 @@ from rich.console import Console
 from drivers.errors import DeviceError
 from drivers.protocols import Clock, Frame
 from recon.errors import ReconError
-from rig.capture import capture
+from rig.capturing.capture import capture
 from rig.config import DeviceAddresses, RigConfig
 from rig.devices import DISPLAY_LATENCY_S, real_devices
-from rig.emulation import PUMP_DIAMETER_MM
 from rig.errors import RigError
-from rig.ledger_book import book_of
-from rig.plan import all_photos
-from rig.rehearsal import SimulatedOperator, fresh_state, new_world
-from rig.scene_config import SceneOptions, config_of_scene, open_scene
-from rig.steps import Request
+from rig.planning.plan import all_photos
+from rig.planning.steps import Request
+from rig.rehearsing.emulation import PUMP_DIAMETER_MM
+from rig.rehearsing.rehearsal import SimulatedOperator, fresh_state, new_world
+from rig.rehearsing.scene_config import SceneOptions, config_of_scene, open_scene
+from rig.tank.ledger_book import book_of
 from sim_backend.clock import FastClock
 from sim_backend.display import SimulatedDisplay
 from sim_backend.grbl_emulator import GrblEmulator

@@ -15,12 +15,12 @@ from typing import Any
 
 from rich.console import Console
 
-from recon.journal import JOURNAL_NAME, read_journal
-from rig.capture import capture
+from recon.sessions.journal import JOURNAL_NAME, read_journal
+from rig.capturing.capture import capture
 from rig.config import RigConfig
 from rig.devices import open_devices
-from rig.rehearsal import Simulation
-from rig.scene_config import SceneOptions, config_of_scene, open_scene
+from rig.rehearsing.rehearsal import Simulation
+from rig.rehearsing.scene_config import SceneOptions, config_of_scene, open_scene
 from sim_backend.scene import Scene
 
 

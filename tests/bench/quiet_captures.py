@@ -13,13 +13,13 @@ from pathlib import Path
 import numpy as np
 from rich.console import Console
 
-from recon.journal import JOURNAL_NAME, read_journal
-from rig.capture import capture
+from recon.sessions.journal import JOURNAL_NAME, read_journal
+from rig.capturing.capture import capture
 from rig.config import RigConfig
 from rig.devices import simulated_devices
 from rig.errors import SceneMovedError
-from rig.rehearsal import Simulation, open_world
-from rig.scene_config import SceneOptions, config_of_scene, open_scene
+from rig.rehearsing.rehearsal import Simulation, open_world
+from rig.rehearsing.scene_config import SceneOptions, config_of_scene, open_scene
 from sim_backend.photography import Photographer
 from sim_backend.scene import Scene
 

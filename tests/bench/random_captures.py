@@ -25,16 +25,16 @@ from rich.console import Console
 
 from drivers.errors import DeviceError
 from recon.errors import ReconError
-from recon.journal import JOURNAL_NAME
-from rig.capture import capture
+from recon.sessions.journal import JOURNAL_NAME
+from rig.by_hand.pump_cli import _flow
+from rig.capturing.capture import capture
 from rig.config import RigConfig
 from rig.devices import Devices
 from rig.errors import CaptureStopped, RigError
-from rig.flow import check_level_after, learn_level
-from rig.ledger import LevelLearnt
-from rig.ledger_book import LedgerBook
-from rig.pump_cli import _flow
-from rig.scene_config import SceneOptions, config_of_scene, open_scene
+from rig.rehearsing.scene_config import SceneOptions, config_of_scene, open_scene
+from rig.tank.flow import check_level_after, learn_level
+from rig.tank.ledger import LevelLearnt
+from rig.tank.ledger_book import LedgerBook
 from sim_backend.camera import SimulatedCamera
 from sim_backend.display import SimulatedDisplay
 from sim_backend.new_era_emulator import NewEraEmulator

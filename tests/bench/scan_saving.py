@@ -13,12 +13,12 @@ from rich.console import Console
 
 from recon.maps import Maps
 from recon.run import Settings, decode_session, reconstruct
-from recon.session import TRUTH_NAME, open_session
-from rig.capture import capture
+from recon.sessions.session import TRUTH_NAME, open_session
+from rig.capturing.capture import capture
 from rig.devices import open_devices
-from rig.rehearsal import Simulation
-from rig.scene_config import SceneOptions, config_of_scene, open_scene
-from rig.simulate import simulate_session
+from rig.rehearsing.rehearsal import Simulation
+from rig.rehearsing.scene_config import SceneOptions, config_of_scene, open_scene
+from rig.rehearsing.simulate import simulate_session
 
 # Name, columns of the display, width and step of the stripe: the paper's sweeps are as fine as the last.
 SCENES = (("hemisphere", 512, 8.0, 2.0), ("ornament", 512, 8.0, 2.0), ("semi_ellipsoid", 256, 6.0, 1.0))

@@ -5,9 +5,9 @@ import time
 
 import numpy as np
 
-from recon.reference_frame import reference_levels
-from recon.scene_change import SceneLimits, SceneParts
-from recon.scene_check import SceneChecker
+from recon.patterns.reference_frame import reference_levels
+from recon.scene.scene_change import SceneLimits, SceneParts
+from recon.scene.scene_check import SceneChecker
 
 COLUMNS, ROWS = 3888, 2592
 PARTS = SceneParts(

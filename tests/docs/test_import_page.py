@@ -3,8 +3,8 @@
 import re
 from pathlib import Path
 
-from recon.importer import import_folder, read_layout
-from recon.session import open_session
+from recon.sessions.importer import import_folder, read_layout
+from recon.sessions.session import open_session
 
 REPOSITORY = Path(__file__).parents[2]
 PAGE = (REPOSITORY / "docs/how-to/import-photos.md").read_text(encoding="utf-8")

@@ -2,7 +2,7 @@
 
 from pathlib import Path
 
-from rig.causes import CAUSES
+from rig.capturing.causes import CAUSES
 
 PAGE = Path(__file__).parents[2] / "docs/explanation/interruptions.md"
 WORDS = {"suspend": "suspends", "latch": "latches", "stop": "ends"}

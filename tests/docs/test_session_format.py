@@ -9,11 +9,11 @@ import numpy as np
 import pytest
 from pydantic import BaseModel
 
-from recon import journal, manifest
-from recon.journal import PhotoRecord
 from recon.maps import load_maps
 from recon.run import Settings, run_session
-from recon.session import Session, open_session
+from recon.sessions import journal, manifest
+from recon.sessions.journal import PhotoRecord
+from recon.sessions.session import Session, open_session
 
 REPOSITORY = Path(__file__).parents[2]
 PAGE = (REPOSITORY / "docs/reference/session-format.md").read_text(encoding="utf-8")
@@ -68,7 +68,7 @@ def test_a_field_is_said_to_be_required_exactly_where_the_parser_requires_it(mod
 
 
 def test_every_event_that_the_rig_writes_is_described() -> None:
-    sources = [path.read_text(encoding="utf-8") for path in (REPOSITORY / "rig").glob("*.py")]
+    sources = [path.read_text(encoding="utf-8") for path in (REPOSITORY / "rig").rglob("*.py")]
     written = set().union(*(journal_events(ast.parse(source)) for source in sources))
     assert {"capture_started", "came_to_rest", "sweep_started"} <= written
     assert {event for event in written if f"`{event}`" not in PAGE} == set()

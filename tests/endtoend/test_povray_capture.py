@@ -6,9 +6,9 @@ import numpy as np
 import pytest
 from povray_judge import DATA, judge
 
-from recon.importer import import_folder, read_layout
 from recon.maps import Maps, load_maps
 from recon.run import Settings, run_session
+from recon.sessions.importer import import_folder, read_layout
 from recon.status import PixelStatus
 
 

@@ -10,13 +10,13 @@ import pytest
 from rich.console import Console
 
 from recon.run import Settings, run_session
-from recon.scene_check import NO_REFERENCES, REFERENCE, check_scene
-from recon.session import open_session
-from rig.capture import CaptureResult, capture
+from recon.scene.scene_check import NO_REFERENCES, REFERENCE, check_scene
+from recon.sessions.session import open_session
+from rig.capturing.capture import CaptureResult, capture
 from rig.config import RigConfig
 from rig.devices import simulated_devices
 from rig.errors import SceneMovedError
-from rig.rehearsal import Simulation, open_world
+from rig.rehearsing.rehearsal import Simulation, open_world
 from sim_backend.disturbance import Disturbance
 from sim_backend.photography import Photographer
 from sim_backend.unrest import Ripples

@@ -7,9 +7,9 @@ import pytest
 from povray_judge import DATA
 from scipy.ndimage import binary_erosion
 
-from recon.correspondence import decode_sweep
-from recon.importer import import_folder, read_layout
-from recon.session import open_session
+from recon.sessions.importer import import_folder, read_layout
+from recon.sessions.session import open_session
+from recon.sweeps.correspondence import decode_sweep
 from sim_backend.photography import Photographer
 from sim_backend.scene import load_scene
 

@@ -2,9 +2,9 @@
 
 import numpy as np
 
-from recon.manifest import Manifest
 from recon.maps import Maps
 from recon.metrics import Funnel, Metrics, PhotoQuality, SampleCurve, StageTime, Statistic, Verdict
+from recon.sessions.manifest import Manifest
 from recon.status import PixelStatus
 
 RADIUS_MM = 28.0

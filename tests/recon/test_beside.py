@@ -4,11 +4,11 @@ import numpy as np
 import pytest
 from session_example import COLS, ROWS, manifest
 
-from recon.beside import liquid_surface
-from recon.entry_point import entry_points
-from recon.light_paths import LightPaths, light_paths
-from recon.manifest import Manifest, Pose
-from recon.normals import normals_from_paths
+from recon.geometry.beside import liquid_surface
+from recon.geometry.entry_point import entry_points
+from recon.geometry.light_paths import LightPaths, light_paths
+from recon.geometry.normals import normals_from_paths
+from recon.sessions.manifest import Manifest, Pose
 
 N_WATER = 1.333
 CAMERA_Z, LEVEL_Z = -60.0, 2.0

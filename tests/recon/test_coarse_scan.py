@@ -7,8 +7,8 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from recon.coarse_scan import range_of_bars, scan_bits, scan_levels, seen_bars
-from recon.manifest import StripePattern
+from recon.patterns.coarse_scan import range_of_bars, scan_bits, scan_levels, seen_bars
+from recon.sessions.manifest import StripePattern
 
 
 def pattern(*, first_px: float = 20.0, step_px: float = 4.0, count: int = 200, width_px: float = 12.0) -> StripePattern:

@@ -10,11 +10,11 @@ import numpy as np
 import pytest
 from session_example import write_session
 
-from recon import correspondence_store
-from recon.correspondence import SweepResult, decode_sweep
-from recon.correspondence_store import load_stored, save_stored, store_path, stored_or_decoded
 from recon.run import Settings, decode_session
-from recon.session import Session, open_session
+from recon.sessions.session import Session, open_session
+from recon.sweeps import correspondence_store
+from recon.sweeps.correspondence import SweepResult, decode_sweep
+from recon.sweeps.correspondence_store import load_stored, save_stored, store_path, stored_or_decoded
 
 
 @pytest.fixture

@@ -5,10 +5,10 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from recon.entry_point import entry_points
-from recon.light_paths import LightPaths, light_paths
-from recon.manifest import CoverGlass, Pose
-from recon.normals import normals_from_angles, normals_from_paths
+from recon.geometry.entry_point import entry_points
+from recon.geometry.light_paths import LightPaths, light_paths
+from recon.geometry.normals import normals_from_angles, normals_from_paths
+from recon.sessions.manifest import CoverGlass, Pose
 
 X, Y = (1.0, 0.0, 0.0), (0.0, 1.0, 0.0)
 NEAR = Pose(centre_mm=(0.0, 0.0, 10.0), x_axis=X, y_axis=Y)

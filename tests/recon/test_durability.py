@@ -8,10 +8,10 @@ from pathlib import Path
 import pytest
 from session_example import manifest
 
-from recon.disk import Disk
 from recon.errors import SessionError
-from recon.journal import JournalWriter, read_journal
-from recon.session import SessionWriter, open_session, parse_manifest
+from recon.sessions.disk import Disk
+from recon.sessions.journal import JournalWriter, read_journal
+from recon.sessions.session import SessionWriter, open_session, parse_manifest
 
 MANIFEST = parse_manifest(json.dumps(manifest()), source="example")
 

@@ -4,7 +4,7 @@ import cv2
 import numpy as np
 import pytest
 
-from recon.frame_tag import (
+from recon.patterns.frame_tag import (
     ACROSS_CELLS,
     LARGEST_NUMBER,
     POLYNOMIAL,
@@ -16,7 +16,7 @@ from recon.frame_tag import (
     tag_cells,
     tag_levels,
 )
-from recon.frame_tag_reading import find_tag, read_tag
+from recon.patterns.frame_tag_reading import find_tag, read_tag
 
 # Each photo pixel is the mean of this many samples squared.
 FINE = 4

@@ -6,7 +6,6 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from report_example import CENTRE_MM, RADIUS_MM, example_manifest, example_maps, example_mesh
 
-from recon.manifest import Manifest
 from recon.report.display_frame import frame_from_world, rotate, transform_points
 from recon.report.map_pictures import positive_limits
 from recon.report.point_scene import (
@@ -18,6 +17,7 @@ from recon.report.point_scene import (
     packed_places,
 )
 from recon.report.surface_section import cloud_of
+from recon.sessions.manifest import Manifest
 
 
 def unpacked_normals(packed: np.ndarray) -> np.ndarray:

@@ -3,8 +3,8 @@
 import numpy as np
 import pytest
 
-from recon.scene_change import SceneLimits, SceneParts, findings, part_masks
-from recon.scene_shift import PartShift
+from recon.scene.scene_change import SceneLimits, SceneParts, findings, part_masks
+from recon.scene.scene_shift import PartShift
 
 LIMITS = SceneLimits(shift_px=0.05, sigmas=6.0, light_share=0.02)
 STILL = (0.0, 0.0)

@@ -9,9 +9,8 @@ import pytest
 from report_example import example_manifest
 
 from recon.errors import SessionError
-from recon.journal import JOURNAL_NAME
-from recon.scene_change import SceneLimits, SceneParts
-from recon.scene_check import (
+from recon.scene.scene_change import SceneLimits, SceneParts
+from recon.scene.scene_check import (
     NO_MARKS,
     NO_REFERENCES,
     ONE_REFERENCE,
@@ -20,7 +19,8 @@ from recon.scene_check import (
     parts_of_session,
     reduction,
 )
-from recon.session import MANIFEST_NAME, SessionWriter, open_session
+from recon.sessions.journal import JOURNAL_NAME
+from recon.sessions.session import MANIFEST_NAME, SessionWriter, open_session
 
 LIMITS = SceneLimits(shift_px=0.05, sigmas=6.0, light_share=0.02)
 MARKS = SceneParts(marks_px=((0.0, 0.0, 60.0, 60.0),))

@@ -3,10 +3,10 @@
 import numpy as np
 import pytest
 
-from recon.entry_point import entry_points
-from recon.light_paths import light_paths
-from recon.manifest import CameraBody, Intrinsics, Pose
-from recon.scene_error import display_lever, fep_error_mm, photo_scale_mm, places_along_paths, typical_angle_rad
+from recon.geometry.entry_point import entry_points
+from recon.geometry.light_paths import light_paths
+from recon.scene.scene_error import display_lever, fep_error_mm, photo_scale_mm, places_along_paths, typical_angle_rad
+from recon.sessions.manifest import CameraBody, Intrinsics, Pose
 
 POSES = (
     Pose(centre_mm=(0, 0, 25), x_axis=(1, 0, 0), y_axis=(0, 1, 0)),

@@ -10,10 +10,10 @@ import pytest
 from session_example import COLS, PLACES, ROWS, write_session
 
 from recon.calibration.errors import CalibrationError
-from recon.importer import import_folder, read_layout
-from recon.manifest import Manifest
 from recon.maps import load_maps
 from recon.run import Settings, run_session
+from recon.sessions.importer import import_folder, read_layout
+from recon.sessions.manifest import Manifest
 
 DATA = Path(__file__).parents[1] / "data" / "povray-semi-ellipsoid"
 STRAIGHT = {"x_axis": [1.0, 0.0, 0.0], "y_axis": [0.0, 1.0, 0.0]}

@@ -7,12 +7,12 @@ from hypothesis import strategies as st
 from hypothesis.extra import numpy as hnp
 from scipy.integrate import quad
 
-from recon.manifest import StripePattern
-from recon.noise import NoiseModel, dark_variance, noise_from_residuals
-from recon.patterns import stripe_profile
-from recon.stripe_fit import fit_stripe
-from recon.stripe_model import expected_curve, footprint_average
-from recon.stripe_peak import NO_PEAK, PeakTracker, PeakWindows, parabola_offset
+from recon.patterns.sweep_frames import stripe_profile
+from recon.sessions.manifest import StripePattern
+from recon.sweeps.noise import NoiseModel, dark_variance, noise_from_residuals
+from recon.sweeps.stripe_fit import fit_stripe
+from recon.sweeps.stripe_model import expected_curve, footprint_average
+from recon.sweeps.stripe_peak import NO_PEAK, PeakTracker, PeakWindows, parabola_offset
 
 COSINE = StripePattern(profile="raised_cosine", width_px=6.0, first_px=0.0, step_px=1.0, count=64)
 HARD = StripePattern(profile="hard", width_px=1.0, first_px=0.0, step_px=1.0, count=64)

@@ -4,14 +4,14 @@ import numpy as np
 import pytest
 from session_example import manifest as fields
 
-from recon.correspondence import SweepResult
-from recon.entry_point import entry_points
-from recon.light_paths import light_paths
-from recon.manifest import Manifest
+from recon.geometry.entry_point import entry_points
+from recon.geometry.light_paths import light_paths
 from recon.metrics import PhotoQuality, SampleCurve
-from recon.noise import NoiseModel
+from recon.sessions.manifest import Manifest
 from recon.status import PixelStatus
-from recon.sweep_quality import predicted_entry_sd_mm, sweep_quality
+from recon.sweeps.correspondence import SweepResult
+from recon.sweeps.noise import NoiseModel
+from recon.sweeps.sweep_quality import predicted_entry_sd_mm, sweep_quality
 
 
 def result(

@@ -7,10 +7,10 @@ import numpy as np
 import pytest
 from session_example import PLACES, write_session
 
-from recon.correspondence import decode_sweep
 from recon.errors import SessionError
-from recon.session import SessionWriter, open_session
-from recon.wholeness import faults, missing_photos
+from recon.sessions.session import SessionWriter, open_session
+from recon.sessions.wholeness import faults, missing_photos
+from recon.sweeps.correspondence import decode_sweep
 
 
 def append(folder: Path, event: str, **fields: object) -> None:

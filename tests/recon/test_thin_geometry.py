@@ -3,10 +3,10 @@
 import numpy as np
 import pytest
 
-from recon.entry_point import entry_points
-from recon.flat_face import inner_directions, points_on_face
-from recon.light_paths import LightPaths
-from recon.normals import normals_from_paths
+from recon.geometry.entry_point import entry_points
+from recon.geometry.flat_face import inner_directions, points_on_face
+from recon.geometry.light_paths import LightPaths
+from recon.geometry.normals import normals_from_paths
 
 N_GLASS = 1.7
 TO_CAMERA = np.array([0.0, 0.0, -1.0])

@@ -7,11 +7,11 @@ from pathlib import Path
 import pytest
 from rich.console import Console
 
-from rig.capture import capture
+from rig.capturing.capture import capture
 from rig.config import RigConfig
 from rig.devices import Devices, open_devices, simulated_devices
-from rig.rehearsal import Simulation, open_world
-from rig.scene_config import SceneOptions, config_of_scene, open_scene
+from rig.rehearsing.rehearsal import Simulation, open_world
+from rig.rehearsing.scene_config import SceneOptions, config_of_scene, open_scene
 from sim_backend.photography import Photographer
 from sim_backend.scene import Scene
 from sim_backend.world import World

@@ -8,7 +8,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from rig.aftermath import FINISHES, Aftermath, aftermath, aftermath_text
+from rig.capturing.aftermath import FINISHES, Aftermath, aftermath, aftermath_text
 
 STARTED = {"event": "capture_started", "photos": 72, "done": 0, "tank_ml": 0.0}
 HOMED = [{"event": "homing_started"}, {"event": "homing_finished", "stage_mm": 0.0}]

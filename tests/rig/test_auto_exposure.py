@@ -11,10 +11,10 @@ import pytest
 import simplejpeg
 from rich.console import Console
 
-from recon.session import open_session
-from rig.auto_exposure import Brightness, brightness_of, choose_time, usable_times
-from rig.capture import capture
+from recon.sessions.session import open_session
 from rig.capture_sections import AutoExposure
+from rig.capturing.auto_exposure import Brightness, brightness_of, choose_time, usable_times
+from rig.capturing.capture import capture
 from rig.errors import CaptureError, CaptureStopped
 
 WANTED = AutoExposure(setting="shutter")

@@ -10,15 +10,15 @@ import numpy as np
 import pytest
 
 from recon.calibration.response_record import ResponseRecord, read_response
-from rig.calibration_devices import CameraAndDisplay
-from rig.calibration_folder import CalibrationFolder
+from rig.calibrating.calibration_devices import CameraAndDisplay
+from rig.calibrating.calibration_folder import CalibrationFolder
+from rig.calibrating.response_capture import ResponseCapture
 from rig.cli import main
 from rig.config import RigConfig
 from rig.devices import simulated_devices
 from rig.errors import CaptureError
-from rig.rehearsal import Simulation, open_world
-from rig.response_capture import ResponseCapture
-from rig.scene_config import SceneOptions, config_of_scene
+from rig.rehearsing.rehearsal import Simulation, open_world
+from rig.rehearsing.scene_config import SceneOptions, config_of_scene
 from sim_backend.photography import Photographer
 from sim_backend.scene import Scene, load_scene
 

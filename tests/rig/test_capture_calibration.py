@@ -10,13 +10,13 @@ from rich.console import Console
 from recon.calibration.calibration_file import CalibratedCamera, Calibration, Quality, write_calibration
 from recon.calibration.errors import CalibrationError
 from recon.calibration.response_record import ResponseRecord, write_response
-from recon.manifest import Pose
-from recon.session import open_session
-from rig.capture import capture
+from recon.sessions.manifest import Pose
+from recon.sessions.session import open_session
+from rig.calibrating.session_calibration import with_calibration_of
+from rig.capturing.capture import capture
+from rig.capturing.session_manifest import manifest_of
 from rig.cli import main
 from rig.config import RigConfig
-from rig.session_calibration import with_calibration_of
-from rig.session_manifest import manifest_of
 from sim_backend.scene import Scene
 
 CREATED = "2026-01-02T03:04:05+00:00"

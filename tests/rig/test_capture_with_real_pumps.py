@@ -11,7 +11,7 @@ import pytest
 from drivers.new_era_pump import NewEraPump
 from drivers.protocols import Pump
 from drivers.tank_board import TankBoard
-from rig.capture import capture
+from rig.capturing.capture import capture
 from rig.config import RigConfig
 from rig.errors import CaptureError
 from sim_backend.new_era_emulator import NewEraEmulator

@@ -11,14 +11,14 @@ from pathlib import Path
 import pytest
 from doctor_bench import COLUMNS, DoctorBench, emulated_rig
 
-import rig.doctor_camera
+import rig.checking.doctor_camera
 from drivers.exposure_time import seconds_of
 from drivers.usb_cameras import UsbCamera
+from rig.checking.doctor import INSTALL, Check, Finding, failed, finding_of_sentence, run_checks
+from rig.checking.doctor_camera import check_usb
+from rig.checking.doctor_cli import Limits, plan_checks
+from rig.checking.doctor_machine import check_disk, read_config, rig_packages
 from rig.cli import main
-from rig.doctor import INSTALL, Check, Finding, failed, finding_of_sentence, run_checks
-from rig.doctor_camera import check_usb
-from rig.doctor_cli import Limits, plan_checks
-from rig.doctor_machine import check_disk, read_config, rig_packages
 
 Run = Callable[..., tuple[int, str, str]]
 

@@ -8,14 +8,14 @@ import pytest
 from doctor_bench import DoctorBench, emulated_rig
 from faults_page import OperatorReads
 
-import rig.doctor_camera
-import rig.doctor_machine
+import rig.checking.doctor_camera
+import rig.checking.doctor_machine
 from drivers.gphoto2_camera import Gphoto2Camera
 from drivers.usb_cameras import UsbCamera
-from rig.doctor import Finding, run_checks
-from rig.doctor_camera import check_usb
-from rig.doctor_cli import Limits, plan_checks
-from rig.doctor_machine import check_libgphoto2, read_config
+from rig.checking.doctor import Finding, run_checks
+from rig.checking.doctor_camera import check_usb
+from rig.checking.doctor_cli import Limits, plan_checks
+from rig.checking.doctor_machine import check_libgphoto2, read_config
 
 
 @pytest.fixture(scope="module")

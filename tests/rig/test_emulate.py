@@ -18,7 +18,7 @@ import simplejpeg
 
 from rig.config import RigConfig, load_config
 from rig.devices import real_camera, real_pump, real_stage
-from rig.flow import POLL_S
+from rig.tank.flow import POLL_S
 from sim_backend.clock import RealClock
 
 ROOT = Path(__file__).parents[2]

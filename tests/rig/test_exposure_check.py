@@ -10,11 +10,11 @@ from PIL import Image
 
 from drivers.errors import DeviceProtocolError
 from drivers.protocols import Photo
-from recon.session import open_session
-from rig.capture import capture
+from recon.sessions.session import open_session
+from rig.capturing.capture import capture
+from rig.capturing.exposure_check import Exposure, check_exposure, exposure_of_jpeg, exposure_of_settings
 from rig.devices import Devices
 from rig.errors import CaptureError
-from rig.exposure_check import Exposure, check_exposure, exposure_of_jpeg, exposure_of_settings
 
 # What libgphoto2 calls the same exposure on an EOS, on a generic camera and on a Nikon.
 SAME = [

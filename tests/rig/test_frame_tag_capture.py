@@ -12,18 +12,18 @@ import simplejpeg
 from rich.console import Console
 
 from drivers.protocols import DeviceInfo, Frame, Photo
-from recon.frame_tag import LARGEST_NUMBER, TagPlace, tag_levels
-from recon.frame_tag_reading import find_tag
-from recon.journal import read_journal, read_photos
-from rig.capture import capture
+from recon.patterns.frame_tag import LARGEST_NUMBER, TagPlace, tag_levels
+from recon.patterns.frame_tag_reading import find_tag
+from recon.sessions.journal import read_journal, read_photos
+from rig.by_hand.display_cli import tag as tag_command
+from rig.capturing.capture import capture
+from rig.capturing.frames import frame_of
 from rig.config import RigConfig, parse_config
 from rig.devices import Devices
-from rig.display_cli import tag as tag_command
 from rig.errors import CaptureError, ConfigError
-from rig.frames import frame_of
-from rig.plan import all_photos, set_name, set_order
-from rig.scene_config import SceneOptions, config_of_scene, open_scene
-from rig.simulate import take
+from rig.planning.plan import all_photos, set_name, set_order
+from rig.rehearsing.scene_config import SceneOptions, config_of_scene, open_scene
+from rig.rehearsing.simulate import take
 from sim_backend.photography import Photographer
 from sim_backend.scene import Scene
 from sim_backend.world import World

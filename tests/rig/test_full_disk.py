@@ -9,12 +9,12 @@ from typing import Any
 
 import pytest
 
-import recon.session
+import recon.sessions.session
 from drivers.errors import DeviceTimeoutError
-from recon.disk import Disk
 from recon.errors import SessionError
-from recon.session import open_session
-from rig.capture import capture
+from recon.sessions.disk import Disk
+from recon.sessions.session import open_session
+from rig.capturing.capture import capture
 from rig.errors import CaptureError
 
 
@@ -50,7 +50,7 @@ class SmallDisk(Disk):
 @pytest.fixture
 def on_disk(monkeypatch: pytest.MonkeyPatch):
     """Return ``on_disk(disk)``: from now on sessions are written with it."""
-    return lambda disk: monkeypatch.setattr(recon.session, "DISK", disk)
+    return lambda disk: monkeypatch.setattr(recon.sessions.session, "DISK", disk)
 
 
 def lines_of(folder: Path) -> list[dict[str, Any]]:

@@ -9,10 +9,10 @@ from hypothesis import strategies as st
 from drivers.protocols import PumpStatus
 from rig.config import Tank
 from rig.errors import CaptureError
-from rig.guard import Guard
-from rig.interlocks import ACTIONS, EVERYTHING, INTERLOCKS, Action, RigState, forbidden
-from rig.ledger import FlowBegun, FlowEnded, Ledger, LevelLearnt, after, new_ledger
-from rig.ledger_book import LedgerBook
+from rig.tank.guard import Guard
+from rig.tank.interlocks import ACTIONS, EVERYTHING, INTERLOCKS, Action, RigState, forbidden
+from rig.tank.ledger import FlowBegun, FlowEnded, Ledger, LevelLearnt, after, new_ledger
+from rig.tank.ledger_book import LedgerBook
 
 WHEN = "2026-03-14T09:26:53+00:00"
 PAGE = Path(__file__).parents[2] / "docs/explanation/safety.md"

@@ -11,11 +11,11 @@ from pathlib import Path
 
 import pytest
 
-from recon.session import SessionWriter, open_session
+from recon.sessions.session import SessionWriter, open_session
+from rig.capturing.session_manifest import SIMULATED_DEVICE, manifest_of
 from rig.config import RigConfig
-from rig.plan import all_photos, set_name, set_order
-from rig.session_manifest import SIMULATED_DEVICE, manifest_of
-from rig.simulate import take
+from rig.planning.plan import all_photos, set_name, set_order
+from rig.rehearsing.simulate import take
 from sim_backend.photography import Photographer
 from sim_backend.scene import Scene
 from sim_backend.world_file import load_state

@@ -8,7 +8,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from rig.errors import LedgerError
-from rig.ledger import (
+from rig.tank.ledger import (
     Event,
     FlowBegun,
     FlowBroken,
@@ -23,7 +23,7 @@ from rig.ledger import (
     level_text,
     new_ledger,
 )
-from rig.ledger_book import LedgerBook, book_file
+from rig.tank.ledger_book import LedgerBook, book_file
 
 WHEN = "2026-03-14T09:26:53.589+00:00"
 TOTAL_ML = 5000.0

@@ -12,15 +12,15 @@ import numpy as np
 import pytest
 
 from drivers.protocols import Frame
-from recon.correspondence_store import load_stored
-from recon.session import open_session
-from rig import live_capture
-from rig.capture import capture
+from recon.sessions.session import open_session
+from recon.sweeps.correspondence_store import load_stored
 from rig.capture_sections import Live
+from rig.capturing.capture import capture
 from rig.errors import CaptureError
-from rig.live_decoder import LiveDecoder
-from rig.plan import all_photos, plan_capture
-from rig.steps import FillTank, JudgeSet, TakePhoto
+from rig.live import live_capture
+from rig.live.live_decoder import LiveDecoder
+from rig.planning.plan import all_photos, plan_capture
+from rig.planning.steps import FillTank, JudgeSet, TakePhoto
 
 
 @pytest.fixture

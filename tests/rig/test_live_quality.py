@@ -13,17 +13,17 @@ from typing import Any
 import pytest
 from rich.console import Console
 
-from recon.correspondence_store import load_stored
-from recon.session import open_session
-from recon.sweep_quality import SweepQuality
+from recon.sessions.session import open_session
+from recon.sweeps.correspondence_store import load_stored
+from recon.sweeps.sweep_quality import SweepQuality
 from rig.capture_sections import Live
+from rig.capturing.progress import CaptureProgress
+from rig.capturing.session_manifest import manifest_of
 from rig.errors import CaptureError
-from rig.live_decoder import LiveDecoder
-from rig.live_quality import LiveQuality, SweepVerdict, judge
-from rig.live_status import LiveStatus
-from rig.progress import CaptureProgress
-from rig.session_manifest import manifest_of
-from rig.status_page import StatusPage
+from rig.live.live_decoder import LiveDecoder
+from rig.live.live_quality import LiveQuality, SweepVerdict, judge
+from rig.live.live_status import LiveStatus
+from rig.live.status_page import StatusPage
 
 GOOD: dict[str, Any] = {
     "set": "pos0_air",

@@ -10,7 +10,7 @@ from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
 
-from recon.session import open_session
+from recon.sessions.session import open_session
 
 # Generous, because continuous integration may be slow; nothing waits that long when all is well.
 PATIENCE_S = 60.0

@@ -5,9 +5,9 @@ from collections.abc import Iterator
 
 import pytest
 
-from rig import interlocks
-from rig.ledger import FlowBegun
-from rig.ledger_book import LedgerBook
+from rig.tank import interlocks
+from rig.tank.ledger import FlowBegun
+from rig.tank.ledger_book import LedgerBook
 from sim_backend import tank_board_emulator
 from sim_backend.new_era_motor import Motor
 from sim_backend.world import TankSize, WorldState

@@ -11,11 +11,11 @@ from drivers.new_era_pump import NewEraPump
 from drivers.stripe_player import StripePlayer
 from drivers.tank_board import TankBoard
 from drivers.zaber_stage import ZaberStage
+from rig.capturing.operators import ConsoleOperator
 from rig.config import DeviceAddresses, PumpDriver, RigConfig
 from rig.devices import Devices, open_real_devices, real_devices, real_display
 from rig.errors import ConfigError
-from rig.ledger_book import book_of
-from rig.operators import ConsoleOperator
+from rig.tank.ledger_book import book_of
 from sim_backend.clock import RealClock
 
 LAB = {

@@ -7,12 +7,12 @@ from pathlib import Path
 from hypothesis import given
 from hypothesis import strategies as st
 
-from recon.scene_check import REFERENCE
+from recon.scene.scene_check import REFERENCE
 from rig.capture_sections import Watch
 from rig.config import load_config
-from rig.plan import all_photos, plan_capture, set_name, set_order
-from rig.scene_config import SceneOptions, config_of_scene
-from rig.steps import StartSweep, TakePhoto
+from rig.planning.plan import all_photos, plan_capture, set_name, set_order
+from rig.planning.steps import StartSweep, TakePhoto
+from rig.rehearsing.scene_config import SceneOptions, config_of_scene
 from sim_backend.scene import load_scene
 
 SCENE = load_scene("semi_ellipsoid").resized(display_columns=32)

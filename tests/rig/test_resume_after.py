@@ -12,11 +12,11 @@ import pytest
 
 from drivers.errors import DeviceError, DeviceNotFoundError, DeviceTimeoutError
 from drivers.protocols import PumpStatus
-from recon.session import open_session
-from rig.capture import capture
+from recon.sessions.session import open_session
+from rig.capturing.capture import capture
 from rig.devices import Devices, simulated_devices
 from rig.errors import CaptureError
-from rig.rehearsal import Simulation, open_world
+from rig.rehearsing.rehearsal import Simulation, open_world
 from sim_backend.photography import Photographer
 from sim_backend.world import World
 

@@ -8,9 +8,9 @@ from pathlib import Path
 
 import pytest
 
-from recon.session import open_session
+from recon.sessions.session import open_session
 from rig.cli import main
-from rig.scene_config import SceneOptions, config_of_scene, open_scene
+from rig.rehearsing.scene_config import SceneOptions, config_of_scene, open_scene
 from sim_backend.scene import scene_names
 
 Run = Callable[..., tuple[int, str, str]]

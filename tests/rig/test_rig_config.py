@@ -11,7 +11,7 @@ from pydantic import BaseModel
 
 from rig.config import RigConfig, line_of, load_config, parse_config
 from rig.errors import ConfigError
-from rig.plan import plan_capture, summarise
+from rig.planning.plan import plan_capture, summarise
 
 TEMPLATE = (resources.files("rig") / "template.toml").read_text("utf-8")
 

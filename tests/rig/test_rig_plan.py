@@ -7,9 +7,8 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from rig.config import RigConfig, Tank
-from rig.plan import LEVEL_TOLERANCE, all_photos, plan_capture, set_name, set_order, summarise
-from rig.scene_config import SceneOptions, config_of_scene
-from rig.steps import (
+from rig.planning.plan import LEVEL_TOLERANCE, all_photos, plan_capture, set_name, set_order, summarise
+from rig.planning.steps import (
     AskOperator,
     DrainTank,
     FillTank,
@@ -21,6 +20,7 @@ from rig.steps import (
     TakePhoto,
     WaitUntilStill,
 )
+from rig.rehearsing.scene_config import SceneOptions, config_of_scene
 from sim_backend.scene import load_scene
 
 SCENES = {name: load_scene(name).resized(display_columns=32) for name in ("semi_ellipsoid", "thin_cone")}

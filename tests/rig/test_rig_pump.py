@@ -9,8 +9,8 @@ import pytest
 
 from drivers.protocols import Frame
 from rig.cli import main
-from rig.ledger import FlowBegun
-from rig.ledger_book import LedgerBook
+from rig.tank.ledger import FlowBegun
+from rig.tank.ledger_book import LedgerBook
 from sim_backend.clock import RealClock
 from sim_backend.new_era_emulator import NewEraEmulator
 from sim_backend.tank_board_emulator import TankBoardEmulator

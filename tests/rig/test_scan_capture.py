@@ -10,16 +10,16 @@ import pytest
 from rich.console import Console
 
 from recon.run import Settings, decode_session, reconstruct
-from recon.session import TRUTH_NAME, open_session
-from recon.wholeness import faults
-from rig.capture import capture
+from recon.sessions.session import TRUTH_NAME, open_session
+from recon.sessions.wholeness import faults
+from rig.capturing.capture import capture
 from rig.devices import Devices, open_devices
 from rig.errors import CaptureError, CaptureStopped
-from rig.plan import all_photos, plan_capture
-from rig.rehearsal import Simulation
-from rig.scene_config import SceneOptions, config_of_scene, open_scene
-from rig.simulate import simulate_session
-from rig.steps import FindSweptRange, StartSweep, TakePhoto
+from rig.planning.plan import all_photos, plan_capture
+from rig.planning.steps import FindSweptRange, StartSweep, TakePhoto
+from rig.rehearsing.rehearsal import Simulation
+from rig.rehearsing.scene_config import SceneOptions, config_of_scene, open_scene
+from rig.rehearsing.simulate import simulate_session
 
 # 90 × 90 photos, 128 by 96 stripe places: the hemisphere's camera sees about half of the panel each way.
 SIZE = SceneOptions(camera_columns=90, display_columns=256, width_px=8, step_px=2)

@@ -2,13 +2,13 @@
 
 import pytest
 
-from recon.scene_change import Finding
-from recon.scene_error import ErrorScale
+from recon.scene.scene_change import Finding
+from recon.scene.scene_error import ErrorScale
 from rig.capture_sections import Watch
+from rig.capturing.scene_watch import decide
 from rig.config import RigConfig, parse_config
 from rig.errors import ConfigError
-from rig.scene_config import SceneOptions, config_of_scene, open_scene
-from rig.scene_watch import decide
+from rig.rehearsing.scene_config import SceneOptions, config_of_scene, open_scene
 
 SLIP = Finding("display", "display", shift_px=0.2, sd_px=0.01)
 RIPPLE = Finding("liquid", "display", shift_px=0.2, sd_px=0.01)

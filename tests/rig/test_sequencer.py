@@ -10,13 +10,13 @@ from rich.console import Console
 
 from drivers.errors import DeviceBusyError, DeviceError, DeviceProtocolError, DeviceTimeoutError
 from drivers.protocols import Photo
-from recon.session import open_session
-from rig.capture import capture
+from recon.sessions.session import open_session
+from rig.capturing.capture import capture
 from rig.config import RigConfig
 from rig.devices import open_devices
 from rig.errors import CaptureError, CaptureStopped, InterlockError
-from rig.plan import all_photos
-from rig.rehearsal import Simulation
+from rig.planning.plan import all_photos
+from rig.rehearsing.rehearsal import Simulation
 from sim_backend.world import WorldState
 
 

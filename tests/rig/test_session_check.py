@@ -6,10 +6,10 @@ from pathlib import Path
 import pytest
 from rich.console import Console
 
-from recon.session import SessionWriter, open_session
-from rig.capture import capture
-from rig.plan import all_photos
-from rig.session_check import check_session, check_text
+from recon.sessions.session import SessionWriter, open_session
+from rig.capturing.capture import capture
+from rig.capturing.session_check import check_session, check_text
+from rig.planning.plan import all_photos
 
 
 @pytest.fixture

@@ -15,13 +15,13 @@ import pytest
 import rig.devices
 from drivers.errors import DeviceError, DeviceNotFoundError
 from drivers.protocols import Frame
-from recon.session import open_session
-from rig.capture import capture
+from recon.sessions.session import open_session
+from rig.capturing.capture import capture
 from rig.config import RigConfig
 from rig.devices import open_devices
-from rig.emulation import EmulatedRig, emulate_rig
-from rig.rehearsal import Simulation
-from rig.scene_config import SceneOptions, config_of_scene, open_scene
+from rig.rehearsing.emulation import EmulatedRig, emulate_rig
+from rig.rehearsing.rehearsal import Simulation
+from rig.rehearsing.scene_config import SceneOptions, config_of_scene, open_scene
 from sim_backend.browser_tablet import BrowserTablet
 from sim_backend.chromium import Chromium
 from sim_backend.scene import Scene

@@ -5,12 +5,12 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from recon.session import open_session
-from rig.capture import capture
+from recon.sessions.session import open_session
+from rig.capturing.capture import capture
 from rig.devices import open_devices
-from rig.rehearsal import Simulation
-from rig.scene_config import SceneOptions, config_of_scene, open_scene
-from rig.simulate import simulate_session
+from rig.rehearsing.rehearsal import Simulation
+from rig.rehearsing.scene_config import SceneOptions, config_of_scene, open_scene
+from rig.rehearsing.simulate import simulate_session
 
 
 def test_a_capture_through_devices_and_a_simulation_are_equal_to_the_byte(

@@ -15,14 +15,14 @@ from drivers.errors import OutOfVolumeError
 from drivers.new_era_pump import NewEraPump
 from drivers.protocols import Frame, LevelSensor, Pump
 from drivers.tank_board import TankBoard
+from rig.capturing.operators import ConsoleOperator
 from rig.config import RigConfig
 from rig.devices import TankDevices
 from rig.errors import CaptureError, TankAlarmError, WrongLevelError
-from rig.flow import check_level_after, learn_level, run_flow
-from rig.guard import Guard
-from rig.ledger import Known, LevelLearnt, Unknown
-from rig.ledger_book import LedgerBook
-from rig.operators import ConsoleOperator
+from rig.tank.flow import check_level_after, learn_level, run_flow
+from rig.tank.guard import Guard
+from rig.tank.ledger import Known, LevelLearnt, Unknown
+from rig.tank.ledger_book import LedgerBook
 from sim_backend.clock import SimulatedClock
 from sim_backend.new_era_emulator import NewEraEmulator
 from sim_backend.tank_board_emulator import TankBoardEmulator

@@ -10,8 +10,8 @@ import pytest
 
 from drivers.protocols import Frame
 from rig.cli import main
-from rig.ledger import FlowBegun
-from rig.ledger_book import LedgerBook
+from rig.tank.ledger import FlowBegun
+from rig.tank.ledger_book import LedgerBook
 from sim_backend.clock import FastClock
 from sim_backend.grbl_emulator import GrblEmulator
 from sim_backend.grbl_homing import GrblFaults

@@ -20,12 +20,12 @@ from drivers.errors import (
     UnknownPositionError,
 )
 from drivers.protocols import Photo, PumpStatus
-from rig.capture import capture
-from rig.causes import CAUSES, cause_of, part_of_rig
+from rig.capturing.capture import capture
+from rig.capturing.causes import CAUSES, cause_of, part_of_rig
+from rig.capturing.person import Choice
+from rig.capturing.standstill import pending_latch
 from rig.config import RigConfig
 from rig.errors import CaptureError, CaptureStopped
-from rig.person import Choice
-from rig.standstill import pending_latch
 
 
 class Wrapped:

@@ -10,17 +10,17 @@ from typing import Any
 import pytest
 from rich.console import Console
 
+import rig.capturing.photo_taker
 import rig.devices
-import rig.photo_taker
-from recon.journal import read_journal
-from recon.session import open_session
-from rig.capture import capture
+from recon.sessions.journal import read_journal
+from recon.sessions.session import open_session
+from rig.capturing.capture import capture
 from rig.config import RigConfig
 from rig.devices import open_devices
-from rig.emulation import EmulatedRig, emulate_rig
-from rig.plan import all_photos
-from rig.rehearsal import Simulation
-from rig.scene_config import SceneOptions, config_of_scene, open_scene
+from rig.planning.plan import all_photos
+from rig.rehearsing.emulation import EmulatedRig, emulate_rig
+from rig.rehearsing.rehearsal import Simulation
+from rig.rehearsing.scene_config import SceneOptions, config_of_scene, open_scene
 from sim_backend.browser_tablet import BrowserTablet
 from sim_backend.world import World
 
@@ -61,7 +61,7 @@ def interrupted(
 
         monkeypatch.setattr(rig.devices, "emulate_rig", watched)
         monkeypatch.setattr(World, "look", looking)
-        monkeypatch.setattr(rig.photo_taker, "SHOW_TIMEOUT_S", SHOW_TIMEOUT_S)
+        monkeypatch.setattr(rig.capturing.photo_taker, "SHOW_TIMEOUT_S", SHOW_TIMEOUT_S)
         scene = open_scene("thin_cone", OPTIONS)
         config: RigConfig = config_of_scene(scene, OPTIONS)
         said = StringIO()

@@ -22,10 +22,10 @@ PROGRAM = """
 import dataclasses, select, sys
 from pathlib import Path
 from rich.console import Console
-from rig.capture import capture
+from rig.capturing.capture import capture
 from rig.devices import simulated_devices
-from rig.rehearsal import Simulation, open_world
-from rig.scene_config import SceneOptions, config_of_scene, open_scene
+from rig.rehearsing.rehearsal import Simulation, open_world
+from rig.rehearsing.scene_config import SceneOptions, config_of_scene, open_scene
 from rig.errors import CaptureStopped
 from sim_backend.photography import Photographer
 

@@ -14,7 +14,7 @@ from recon.calibration.display_poses import AIR_PANELS, Travel, display_poses
 from recon.calibration.fep_error import dome_geometry
 from recon.calibration.intrinsics import calibrate_lens
 from recon.calibration.wet_pose import wet_poses
-from recon.manifest import CameraBody, DisplayPanel
+from recon.sessions.manifest import CameraBody, DisplayPanel
 
 PANEL = DisplayPanel(columns=2048, rows=1536, pitch_mm=0.0962)
 SD_PX = 0.05

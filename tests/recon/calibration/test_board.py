@@ -6,7 +6,7 @@ import pytest
 from recon.calibration.board import Board, board_for_display
 from recon.calibration.detection import detect_board, outside
 from recon.calibration.errors import CalibrationError
-from recon.manifest import DisplayPanel
+from recon.sessions.manifest import DisplayPanel
 
 TABLET = DisplayPanel(columns=2048, rows=1536, pitch_mm=0.0962)
 # OpenCV's cornerSubPix on an ideal corner that lies between two pixels finds it to a few thousandths.

@@ -17,7 +17,7 @@ from recon.calibration.calibration_file import (
 )
 from recon.calibration.errors import CalibrationError
 from recon.calibration.validity import accepted, doubts
-from recon.manifest import Manifest, Pose
+from recon.sessions.manifest import Manifest, Pose
 
 PATTERN = {"profile": "hard", "width_px": 1.0, "first_px": 0.0, "step_px": 1.0, "count": 5}
 STRAIGHT = {"x_axis": [1.0, 0.0, 0.0], "y_axis": [0.0, 1.0, 0.0]}

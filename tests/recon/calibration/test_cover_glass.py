@@ -10,7 +10,7 @@ from recon.calibration.detection import BoardView
 from recon.calibration.display_poses import AIR_PANELS, GlassKnowledge, Travel, display_poses
 from recon.calibration.errors import CalibrationError
 from recon.calibration.fep_error import Geometry
-from recon.manifest import CoverGlass
+from recon.sessions.manifest import CoverGlass
 
 GLASS = CoverGlass(thickness_mm=1.5, n=1.52)
 CORNER_SD_PX = 0.05

@@ -11,7 +11,7 @@ from recon.calibration.display_poses import Travel, display_poses, straightness
 from recon.calibration.errors import CalibrationError
 from recon.calibration.intrinsics import calibrate_lens, without_views
 from recon.calibration.sight_line import PanelPose
-from recon.manifest import DisplayPanel
+from recon.sessions.manifest import DisplayPanel
 
 COLUMNS, ROWS = 800, 600
 PANEL = DisplayPanel(columns=2048, rows=1536, pitch_mm=0.0962)

@@ -14,7 +14,7 @@ from recon.calibration.constraints import lens_known, slip, travel_known
 from recon.calibration.detection import BoardView, detect_board
 from recon.calibration.display_poses import AIR_PANELS, Travel, display_poses
 from recon.calibration.wet_pose import WET_PANELS, slips, wet_poses
-from recon.manifest import DisplayPanel
+from recon.sessions.manifest import DisplayPanel
 from sim_backend.photography import Photographer
 from sim_backend.scene import Scene
 

@@ -24,8 +24,8 @@ from recon.calibration.fep_error import Geometry, entry_points_of
 from recon.calibration.intrinsics import calibrate_lens
 from recon.calibration.sight_line import PanelPose
 from recon.calibration.wet_pose import slips, wet_poses
-from recon.manifest import DisplayPanel
-from recon.patterns import screen_mm
+from recon.patterns.sweep_frames import screen_mm
+from recon.sessions.manifest import DisplayPanel
 from sim_backend.photography import Photographer
 from sim_backend.scene import Scene
 

@@ -13,7 +13,7 @@ from recon.calibration.constraints import lens_known, slip, travel_known
 from recon.calibration.display_poses import AIR_PANELS, PitchKnowledge, Travel, display_poses
 from recon.calibration.intrinsics import calibrate_lens
 from recon.calibration.wet_pose import WET_PANELS, SlipKnowledge, wet_poses
-from recon.manifest import DisplayPanel
+from recon.sessions.manifest import DisplayPanel
 
 RUNS = 50
 SIGMA = 4.0  # of the spread that chance gives the mean square

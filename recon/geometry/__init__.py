@@ -1,0 +1,1 @@
+"""From places on the display to first entry points and normals."""

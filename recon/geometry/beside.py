@@ -1,0 +1,131 @@
+"""Tell the object from what lies beside it: pixels that look past the object at the liquid's own flat surface.
+
+Two facts mark such a pixel. With the tank dry nothing bends its light, so its path in air is the camera's own straight
+ray; and its crossing with the path in liquid lies on one plane, the liquid's level, upright to it. A pixel of the object
+may show either by chance (a ray through its very middle is not bent); a neighbourhood shows both only beside the object.
+"""
+
+from dataclasses import dataclass
+
+import numpy as np
+from jaxtyping import Bool, Float64
+from scipy.ndimage import label, uniform_filter
+
+from recon.geometry.entry_point import EntryPoints
+from recon.geometry.light_paths import LightPaths
+from recon.sessions.manifest import Manifest
+
+# How far an unbent ray may seem to miss the camera: calibration errors of a tenth of a degree are ordinary.
+STRAIGHT_RAD = np.radians(0.1)
+# A stray path may miss by anything; held to this it does not spoil its neighbourhood's mean.
+STRAY_RAD = np.radians(2.0)
+NEIGHBOURHOOD_PX = 7
+ALIGNED_RAD = np.radians(5.0)
+SIGMA = 5.0
+DIRECTION_SIGMA = 2.0
+FEWEST_PIXELS = 100
+# The level is a plane if most of the candidates say so.
+PLANE_SHARE = 0.5
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class LiquidLevel:
+    """The flat surface of the liquid: a point on it, its upright unit vector and the scatter of points about it, mm."""
+
+    centre_mm: Float64[np.ndarray, " 3"]
+    upright: Float64[np.ndarray, " 3"]
+    scatter_mm: float
+
+
+def liquid_surface(
+    points: EntryPoints,
+    air: LightPaths,
+    normal: Float64[np.ndarray, "pixels 3"],
+    manifest: Manifest,
+    *,
+    direction_sd_rad: Float64[np.ndarray, " pixels"],
+    pixels: np.ndarray,
+    shape: tuple[int, int],
+) -> Bool[np.ndarray, " pixels"]:
+    """Return which of the listed ``pixels`` (flat indices into ``shape``) look past the object.
+
+    ``direction_sd_rad`` is how well each air path's direction is known; where pixels are finer than the display's, neighbours
+    err alike, so a neighbourhood is known no better than one pixel.
+
+    None do where the camera's place is not known: then its straight rays are not known either.
+    """
+    if manifest.camera.pose is None or len(pixels) == 0:
+        return np.zeros(len(pixels), dtype=bool)
+    camera_mm = np.array(manifest.camera.pose.centre_mm)
+    straight = _straight(air, camera_mm, direction_sd_rad, pixels=pixels, shape=shape)
+    level = _level(points, normal, straight)
+    if level is None:
+        return np.zeros(len(pixels), dtype=bool)
+    height = (points.point_mm - level.centre_mm) @ level.upright
+    sd = np.sqrt(np.einsum("i,pij,j->p", level.upright, points.covariance, level.upright))
+    with np.errstate(invalid="ignore"):
+        on_level = np.abs(height) <= SIGMA * np.maximum(sd, level.scatter_mm)
+        aligned = np.abs(normal @ level.upright) > np.cos(ALIGNED_RAD)
+    return _in_regions(straight & on_level & aligned, pixels=pixels, shape=shape)
+
+
+def _in_regions(found: np.ndarray, *, pixels: np.ndarray, shape: tuple[int, int]) -> np.ndarray:
+    """Keep what lies in connected regions larger than a neighbourhood."""
+    grid = np.zeros(shape, dtype=bool)
+    grid.ravel()[pixels[found]] = True
+    regions, _ = label(grid)
+    size = np.bincount(regions.ravel())
+    size[0] = 0
+    return found & (size[regions.ravel()[pixels]] > NEIGHBOURHOOD_PX**2)
+
+
+def _straight(
+    air: LightPaths,
+    camera_mm: np.ndarray,
+    direction_sd_rad: np.ndarray,
+    *,
+    pixels: np.ndarray,
+    shape: tuple[int, int],
+) -> np.ndarray:
+    """Return which air paths run through the camera's centre, as unbent rays do, taken over a neighbourhood."""
+    to_camera = camera_mm - air.near_mm
+    along = (to_camera * air.direction).sum(axis=1, keepdims=True)
+    miss = (to_camera - along * air.direction) / np.linalg.norm(to_camera, axis=1, keepdims=True)
+    size = np.linalg.norm(miss, axis=1, keepdims=True)
+    miss *= np.minimum(1.0, STRAY_RAD / np.maximum(size, 1e-12))
+    layers = np.column_stack([miss, np.minimum(direction_sd_rad, STRAY_RAD), np.ones(len(miss))])
+    total = np.zeros((*shape, layers.shape[1]))
+    total.reshape(-1, layers.shape[1])[pixels] = layers
+    for layer in range(layers.shape[1]):
+        total[..., layer] = uniform_filter(total[..., layer], NEIGHBOURHOOD_PX, mode="constant")
+    near = total.reshape(-1, layers.shape[1])[pixels]
+    mean = near[:, :4] / near[:, 4:]
+    return np.linalg.norm(mean[:, :3], axis=1) <= np.maximum(STRAIGHT_RAD, DIRECTION_SIGMA * mean[:, 3])
+
+
+def _level(points: EntryPoints, normal: np.ndarray, straight: np.ndarray) -> LiquidLevel | None:
+    """Return the plane on which most of the straight pixels' crossings lie, if there is one.
+
+    Its upright is the median of their normals, which hardly depend on where the crossings are; along it each crossing counts
+    by its own certainty, since nearly upright paths hardly fix their crossing at all.
+    """
+    known = straight & np.isfinite(points.point_mm).all(axis=1) & np.isfinite(normal).all(axis=1)
+    if np.count_nonzero(known) < FEWEST_PIXELS:
+        return None
+    upright = np.median(normal[known], axis=0)
+    upright /= np.linalg.norm(upright)
+    place = points.point_mm[known] @ upright
+    variance = np.einsum("i,pij,j->p", upright, points.covariance[known], upright)
+    weight = 1 / np.maximum(variance, 1e-3 * np.median(variance)) if variance.any() else np.ones(len(place))
+    middle = _weighted_median(place, weight)
+    scatter = 1.4826 * _weighted_median(np.abs(place - middle), weight)
+    on_level = np.abs(place - middle) <= SIGMA * np.maximum(np.sqrt(variance), scatter)
+    if on_level.mean() < PLANE_SHARE:
+        return None
+    return LiquidLevel(middle * upright, upright, scatter)
+
+
+def _weighted_median(values: np.ndarray, weight: np.ndarray) -> float:
+    order = np.argsort(values)
+    share = np.cumsum(weight[order])
+    return float(values[order[np.searchsorted(share, 0.5 * share[-1])]])

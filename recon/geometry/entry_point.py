@@ -1,0 +1,106 @@
+"""The first entry point (FEP): where a pixel's path in liquid and its path in air come closest.
+
+Geometry of two skew lines P + sU and Q + tV. In their common directions the crossing is fixed by both lines; along
+c = U×V/|U×V| each line says where it is, and the gap between them measures how well they agree.
+"""
+
+from dataclasses import dataclass
+
+import numpy as np
+from jaxtyping import Float64
+
+from recon.geometry.light_paths import LightPaths
+
+# sin² of the angle below which two lines have no crossing in double precision.
+PARALLEL = 1e-18
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class EntryPoints:
+    """The crossing of two light paths and how sure it is.
+
+    ``gap_mm`` is signed (from liquid to air path along U×V); ``gap_sd_mm`` is what noise alone would give; ``angle_rad``
+    between the paths has the standard deviation ``angle_sd_rad``; ``covariance`` [pixels, 3, 3] in mm².
+    """
+
+    point_mm: Float64[np.ndarray, "pixels 3"]
+    distance_liquid_mm: Float64[np.ndarray, " pixels"]
+    distance_air_mm: Float64[np.ndarray, " pixels"]
+    gap_mm: Float64[np.ndarray, " pixels"]
+    gap_sd_mm: Float64[np.ndarray, " pixels"]
+    angle_rad: Float64[np.ndarray, " pixels"]
+    angle_sd_rad: Float64[np.ndarray, " pixels"]
+    covariance: Float64[np.ndarray, "pixels 3 3"]
+
+
+def entry_points(liquid: LightPaths, air: LightPaths, *, weighted: bool) -> EntryPoints:
+    """Cross the two paths of each pixel.
+
+    The paper takes the middle of the shortest segment between them; ``weighted`` divides that segment by the two
+    paths' variances instead. Parallel paths give NaN.
+    """
+    u, v = liquid.direction, air.direction
+    cross = np.cross(u, v)
+    sine_squared = (cross**2).sum(1)
+    with np.errstate(divide="ignore", invalid="ignore"):
+        safe = np.where(sine_squared > PARALLEL, sine_squared, np.nan)
+        sine = np.sqrt(safe)
+        common = cross / sine[:, None]
+        offset = air.near_mm - liquid.near_mm
+        s = (np.cross(offset, v) * cross).sum(1) / safe
+        t = (np.cross(offset, u) * cross).sum(1) / safe
+    gap = (offset * common).sum(1)
+    at_liquid, at_air = liquid.covariance_at(s), air.covariance_at(t)
+    variance_liquid = np.einsum("pi,pij,pj->p", common, at_liquid, common)
+    variance_air = np.einsum("pi,pij,pj->p", common, at_air, common)
+    total = variance_liquid + variance_air
+    share = _liquid_share(variance_air, total) if weighted else np.full_like(total, 0.5)
+    point = share[:, None] * liquid.point_at(s) + (1 - share)[:, None] * air.point_at(t)
+    return EntryPoints(
+        point_mm=point,
+        distance_liquid_mm=s,
+        distance_air_mm=t,
+        gap_mm=gap,
+        gap_sd_mm=np.sqrt(total),
+        angle_rad=np.arctan2(np.sqrt(sine_squared), (u * v).sum(1)),
+        angle_sd_rad=_angle_sd(liquid, air, common),
+        covariance=_covariance(u, v, common, sine, at_liquid, at_air, share),
+    )
+
+
+def _liquid_share(variance_air: np.ndarray, total: np.ndarray) -> np.ndarray:
+    return np.where(total > 0, variance_air / np.where(total > 0, total, 1.0), 0.5)
+
+
+def _angle_sd(liquid: LightPaths, air: LightPaths, common: np.ndarray) -> np.ndarray:
+    """Return the sd of the angle: of each direction's part in the common plane, across the direction."""
+    variance = np.zeros(len(common))
+    for paths in (liquid, air):
+        across = np.cross(common, paths.direction)
+        variance += np.einsum("pi,pij,pj->p", across, paths.direction_covariance(), across)
+    return np.sqrt(variance)
+
+
+def _covariance(
+    u: np.ndarray,
+    v: np.ndarray,
+    common: np.ndarray,
+    sine: np.ndarray,
+    at_liquid: np.ndarray,
+    at_air: np.ndarray,
+    share: np.ndarray,
+) -> np.ndarray:
+    """Propagate a small shift of either line to the crossing, leaving out terms of the order of gap times shift.
+
+    Shifting line P + sU by d moves the crossing by V (d·(c×U))/sin + share c (c·d); likewise for the other line.
+    """
+    by_liquid = _outer(v / sine[:, None], np.cross(common, u)) + share[:, None, None] * _outer(common, common)
+    by_air = _outer(-u / sine[:, None], np.cross(common, v)) + (1 - share)[:, None, None] * _outer(common, common)
+    covariance = np.zeros_like(at_liquid)
+    for jacobian, shift in ((by_liquid, at_liquid), (by_air, at_air)):
+        covariance += jacobian @ shift @ np.swapaxes(jacobian, 1, 2)
+    return covariance
+
+
+def _outer(a: np.ndarray, b: np.ndarray) -> np.ndarray:
+    return a[:, :, None] * b[:, None, :]

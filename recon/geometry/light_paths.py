@@ -1,0 +1,115 @@
+"""The path before contact (PBC): the straight line through a pixel's two display points, one at each position.
+
+Paths are stored as a point on the nearer display and a unit direction from the display towards the camera side. Each
+carries the covariance of a small shift of the line at any distance along it, since the two display points are the
+only things that were measured.
+"""
+
+from dataclasses import dataclass
+
+import numpy as np
+from jaxtyping import Float64
+
+from recon.sessions.manifest import CoverGlass, Pose
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class LightPaths:
+    """One line a pixel, through ``near_mm`` and ``far_mm`` (the display nearer to, and farther from, the camera).
+
+    ``direction`` is the unit vector from far to near: towards the object. ``near_covariance`` and ``far_covariance``
+    [pixels, 3, 3] in mm² are those of the two display points.
+    """
+
+    near_mm: Float64[np.ndarray, "pixels 3"]
+    far_mm: Float64[np.ndarray, "pixels 3"]
+    direction: Float64[np.ndarray, "pixels 3"]
+    baseline_mm: Float64[np.ndarray, " pixels"]
+    near_covariance: Float64[np.ndarray, "pixels 3 3"]
+    far_covariance: Float64[np.ndarray, "pixels 3 3"]
+
+    def point_at(self, distance_mm: Float64[np.ndarray, " pixels"]) -> Float64[np.ndarray, "pixels 3"]:
+        """Return the point at a distance beyond the nearer display, towards the object."""
+        return self.near_mm + distance_mm[:, None] * self.direction
+
+    def covariance_at(self, distance_mm: Float64[np.ndarray, " pixels"]) -> Float64[np.ndarray, "pixels 3 3"]:
+        """Return the covariance of the line's place at that distance: the lever of the two display points."""
+        lever = (distance_mm / self.baseline_mm)[:, None, None]
+        return (1 + lever) ** 2 * self.near_covariance + lever**2 * self.far_covariance
+
+    def direction_covariance(self) -> Float64[np.ndarray, "pixels 3 3"]:
+        """Return the covariance of the unit direction (its part across the line is what counts)."""
+        return (self.near_covariance + self.far_covariance) / self.baseline_mm[:, None, None] ** 2
+
+
+def light_paths(
+    screen_mm: tuple[Float64[np.ndarray, "pixels 2"], Float64[np.ndarray, "pixels 2"]],
+    sd_mm: tuple[Float64[np.ndarray, "pixels 2"], Float64[np.ndarray, "pixels 2"]],
+    poses: tuple[Pose, Pose],
+    *,
+    cover_glass: CoverGlass | None,
+    n_medium: float,
+) -> LightPaths:
+    """Return the PBC of each pixel from its screen coordinates at positions 0 and 1.
+
+    Which position is nearer to the camera follows from the screens' own z axes, which point away from the viewer.
+    """
+    transforms = [pose.world_from_screen() for pose in poses]
+    away = transforms[0][:3, 2]
+    order = (0, 1) if (transforms[1][:3, 3] - transforms[0][:3, 3]) @ away > 0 else (1, 0)
+    near, far = (_to_world(screen_mm[k], transforms[k]) for k in order)
+    if cover_glass is not None:
+        near, far = _through_glass(near, far, [transforms[k] for k in order], glass=cover_glass, n_medium=n_medium)
+    span = near - far
+    baseline = np.linalg.norm(span, axis=1)
+    return LightPaths(
+        near_mm=near,
+        far_mm=far,
+        direction=span / baseline[:, None],
+        baseline_mm=baseline,
+        near_covariance=_in_plane_covariance(sd_mm[order[0]], transforms[order[0]]),
+        far_covariance=_in_plane_covariance(sd_mm[order[1]], transforms[order[1]]),
+    )
+
+
+def _to_world(screen_mm: np.ndarray, world_from_screen: np.ndarray) -> np.ndarray:
+    return screen_mm @ world_from_screen[:3, :2].T + world_from_screen[:3, 3]
+
+
+def _in_plane_covariance(sd_mm: np.ndarray, world_from_screen: np.ndarray) -> np.ndarray:
+    axes = world_from_screen[:3, :2]
+    return np.einsum("ia,pa,ja->pij", axes, sd_mm**2, axes)
+
+
+def _through_glass(
+    near: np.ndarray,
+    far: np.ndarray,
+    transforms: list[np.ndarray],
+    *,
+    glass: CoverGlass,
+    n_medium: float,
+) -> tuple[np.ndarray, np.ndarray]:
+    """Move each display point from the pixel plane to where its light leaves the cover glass.
+
+    The direction outside is not known beforehand; for parallel screens the first guess is already exact, since both
+    points are shifted alike, and tilted ones converge in a few rounds.
+    """
+    outer_near, outer_far = near, far
+    for _ in range(5):
+        direction = outer_near - outer_far
+        direction = direction / np.linalg.norm(direction, axis=1, keepdims=True)
+        outer_near = near + _glass_shift(direction, transforms[0], glass=glass, n_medium=n_medium)
+        outer_far = far + _glass_shift(direction, transforms[1], glass=glass, n_medium=n_medium)
+    return outer_near, outer_far
+
+
+def _glass_shift(
+    direction: np.ndarray, world_from_screen: np.ndarray, *, glass: CoverGlass, n_medium: float
+) -> np.ndarray:
+    """Return the vector from the pixel plane to the glass's outer face along the path inside (Snell, plane sheet)."""
+    outward = -world_from_screen[:3, 2]
+    along = direction @ outward
+    across = direction - along[:, None] * outward
+    across_inside = across * (n_medium / glass.n)
+    along_inside = np.sqrt(np.maximum(1 - (across_inside**2).sum(1), 1e-12))
+    return glass.thickness_mm * (outward + across_inside / along_inside[:, None])

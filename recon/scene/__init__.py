@@ -1,0 +1,1 @@
+"""The scene at rest: what moved between reference photos, and what it costs."""

@@ -1,0 +1,1 @@
+"""Sessions in: what the photos mean, what happened, and files that last."""

@@ -1,0 +1,144 @@
+"""Thin objects (the paper's second method): no liquid, the object in and out of the way instead.
+
+Without the object the two display points of a pixel give its visual ray; with it they give its PBC. One refraction is assumed:
+the visual ray runs on inside the object (index n) up to the surface that faces the display, so the normal there is
+n·U − n_air·V (Eq. 3 with U the visual ray and V the PBC). The two rays are nearly parallel, so their crossing is a poor place and
+only anchors the surface, which is integrated from the normals.
+"""
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+
+import cv2
+import numpy as np
+from scipy.ndimage import label
+
+from recon.geometry.entry_point import entry_points
+from recon.geometry.light_paths import LightPaths, light_paths
+from recon.geometry.normals import normal_sd_rad, normals_from_paths
+from recon.maps import Maps
+from recon.reconstruct import Correspondences, combined_status, correspondences
+from recon.sessions.manifest import Manifest
+from recon.status import PixelStatus
+from recon.surface.fusion import fuse_on_rays
+from recon.surface.mesh import Mesh, mesh_from_point_map
+from recon.sweeps.correspondence import Method, SweepResult
+
+NEIGHBOURHOOD_PX = 7
+# With the object away and in place, a pixel beside it sees the same display pixel to within this.
+UNMOVED_PX = 0.05
+# The paper's method knows no noise; a twentieth of a pixel is what its parabola reaches on a good day.
+NOMINAL_SD_PX = 0.05
+ONE_REFRACTION = (
+    "One refraction is assumed: the error of the normals grows with the object's thickness, and a plane-parallel plate "
+    "cannot be told from nothing."
+)
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class ThinSurface:
+    """Maps, mesh and what the reader should know."""
+
+    maps: Maps
+    mesh: Mesh | None
+    warnings: tuple[str, ...]
+
+
+def thin_object(
+    sweeps: Mapping[tuple[str, str], SweepResult],
+    manifest: Manifest,
+    *,
+    method: Method,
+    inside_mask: np.ndarray | None = None,
+) -> ThinSurface:
+    """Reconstruct a thin object; the points lie on the visual rays, where the integrated surface meets them."""
+    n_object = manifest.object.n
+    assert n_object is not None, "the manifest's own check grants the object's index to this method"
+    by_name = {one.name: correspondences(sweeps, one, manifest) for one in manifest.sets}
+    shape = (manifest.camera.rows, manifest.camera.columns)
+    status = combined_status(list(by_name.values()))
+    if inside_mask is not None:
+        status[~inside_mask.ravel() & (status != PixelStatus.UNLIT)] = PixelStatus.MASKED_OUT
+    status[_beside(by_name, status, manifest, shape=shape)] = PixelStatus.BESIDE_OBJECT
+    pixels = np.flatnonzero(status == PixelStatus.OK)
+    visual = _paths(by_name, manifest, "without", pixels, method=method)
+    contact = _paths(by_name, manifest, "with", pixels, method=method)
+    points = entry_points(visual, contact, weighted=method == "full")
+    media = {"n_liquid": n_object, "n_air": manifest.n_air}
+    normal = normals_from_paths(visual.direction, contact.direction, **media)
+    along_sd = np.sqrt(np.einsum("pi,pij,pj->p", visual.direction, points.covariance, visual.direction))
+
+    def on_grid(values: np.ndarray) -> np.ndarray:
+        grid = np.full((status.size, *values.shape[1:]), np.nan)
+        grid[pixels] = values
+        return grid.reshape(*shape, *values.shape[1:])
+
+    normals = on_grid(normal)
+    fused = fuse_on_rays(
+        on_grid(visual.near_mm),
+        on_grid(visual.direction),
+        on_grid(points.distance_liquid_mm),
+        on_grid(along_sd),
+        normals,
+        on_grid(normal_sd_rad(visual, contact, **media)),
+        np.isfinite(normals).all(axis=2),
+    )
+    covered = np.isfinite(fused.point_mm).all(axis=2)
+    lost = (status.reshape(shape) == PixelStatus.OK) & ~covered
+    status[lost.ravel()] = PixelStatus.PARALLEL_PATHS
+    maps = Maps(
+        point_mm=fused.point_mm,
+        normal=np.where(covered[..., None], normals, np.nan),
+        sd_mm=np.full(shape, np.nan, dtype=np.float32),
+        gap_mm=on_grid(points.gap_mm).astype(np.float32),
+        pbc_angle_rad=on_grid(points.angle_rad).astype(np.float32),
+        status=status.reshape(shape),
+    )
+    mesh = mesh_from_point_map(fused.point_mm, normals, covered) if covered.any() else None
+    return ThinSurface(maps, mesh, (ONE_REFRACTION,))
+
+
+def _paths(
+    by_name: Mapping[str, Correspondences],
+    manifest: Manifest,
+    condition: str,
+    pixels: np.ndarray,
+    *,
+    method: Method,
+) -> LightPaths:
+    sets = [manifest.set_named(f"pos{position}_{condition}") for position in (0, 1)]
+    found = [by_name[one.name] for one in sets]
+    nominal = np.full((len(pixels), 2), NOMINAL_SD_PX * manifest.display.pitch_mm)
+    sd = [nominal if method == "paper" else one.sd_mm[pixels] for one in found]
+    return light_paths(
+        (found[0].screen_mm[pixels], found[1].screen_mm[pixels]),
+        (sd[0], sd[1]),
+        (manifest.pose_of(sets[0]), manifest.pose_of(sets[1])),
+        cover_glass=manifest.display.cover_glass,
+        n_medium=manifest.n_air,
+    )
+
+
+def _beside(
+    by_name: Mapping[str, Correspondences],
+    status: np.ndarray,
+    manifest: Manifest,
+    *,
+    shape: tuple[int, int],
+) -> np.ndarray:
+    """Return the pixels for which the object changes nothing, in regions that reach the photo's border."""
+    matched = status == PixelStatus.OK
+    unmoved = matched.copy()
+    for position in (0, 1):
+        change = by_name[f"pos{position}_with"].screen_mm - by_name[f"pos{position}_without"].screen_mm
+        total = np.zeros((*shape, 3))
+        total.reshape(-1, 3)[matched] = np.concatenate(
+            [change[matched] / manifest.display.pitch_mm, np.ones((int(matched.sum()), 1))], axis=1
+        )
+        window = (NEIGHBOURHOOD_PX, NEIGHBOURHOOD_PX)
+        total = cv2.boxFilter(total, cv2.CV_64F, window, normalize=False, borderType=cv2.BORDER_CONSTANT)
+        mean = total.reshape(-1, 3)
+        unmoved &= np.linalg.norm(mean[:, :2], axis=1) <= UNMOVED_PX * mean[:, 2]
+    regions, _ = label(unmoved.reshape(shape))
+    border = np.unique(np.concatenate([regions[0], regions[-1], regions[:, 0], regions[:, -1]]))
+    return np.isin(regions, border[border > 0]).ravel()

@@ -1,0 +1,1 @@
+"""The commands that act on one device by hand."""

@@ -1,0 +1,1 @@
+"""Photos of boards and levels, and what follows from them for a capture."""

@@ -1,0 +1,1 @@
+"""How a capture runs: session, loop, steps, photos, and what interrupts it."""

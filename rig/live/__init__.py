@@ -1,0 +1,1 @@
+"""How good the photos are, while they are taken."""

@@ -1,0 +1,1 @@
+"""Captures in the simulator: the world, the emulated rig, the scene as a configuration."""
