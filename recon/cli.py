@@ -13,6 +13,7 @@ from recon.evaluation import command as evaluation_command
 from recon.metrics import Metrics
 from recon.progress import progress_bar
 from recon.reconstruct import Limits
+from recon.running.settings import Settings
 from recon.sessions.importer import import_folder, read_layout
 from recon.sessions.session import open_session
 from recon.sessions.wholeness import faults
@@ -64,7 +65,7 @@ def run(
 ) -> None:
     """Reconstruct one session: maps, cloud, mesh, numbers and a report."""
     # Loads the report's plotting, which would slow every other command by a second.
-    from recon.run import Settings, run_session
+    from recon.run import run_session
 
     limits = Limits(
         smallest_angle_rad=math.radians(smallest_angle_deg),

@@ -12,7 +12,9 @@ import numpy as np
 from rich.console import Console
 
 from recon.maps import Maps
-from recon.run import Settings, decode_session, reconstruct
+from recon.run import decode_session
+from recon.running.outcome import reconstruct
+from recon.running.settings import Settings
 from recon.sessions.session import TRUTH_NAME, open_session
 from rig.capturing.capture import capture
 from rig.devices import open_devices

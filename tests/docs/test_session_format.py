@@ -10,7 +10,8 @@ import pytest
 from pydantic import BaseModel
 
 from recon.maps import load_maps
-from recon.run import Settings, run_session
+from recon.run import run_session
+from recon.running.settings import Settings
 from recon.sessions import journal, manifest
 from recon.sessions.journal import PhotoRecord
 from recon.sessions.session import Session, open_session

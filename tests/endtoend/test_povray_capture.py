@@ -7,7 +7,8 @@ import pytest
 from povray_judge import DATA, judge
 
 from recon.maps import Maps, load_maps
-from recon.run import Settings, run_session
+from recon.run import run_session
+from recon.running.settings import Settings
 from recon.sessions.importer import import_folder, read_layout
 from recon.status import PixelStatus
 

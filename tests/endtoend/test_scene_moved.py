@@ -9,7 +9,8 @@ from typing import Any
 import pytest
 from rich.console import Console
 
-from recon.run import Settings, run_session
+from recon.run import run_session
+from recon.running.settings import Settings
 from recon.scene.scene_check import NO_REFERENCES, REFERENCE, check_scene
 from recon.sessions.session import open_session
 from rig.capturing.capture import CaptureResult, capture

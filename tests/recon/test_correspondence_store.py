@@ -10,7 +10,8 @@ import numpy as np
 import pytest
 from session_example import write_session
 
-from recon.run import Settings, decode_session
+from recon.run import decode_session
+from recon.running.settings import Settings
 from recon.sessions.session import Session, open_session
 from recon.sweeps import correspondence_store
 from recon.sweeps.correspondence import SweepResult, decode_sweep

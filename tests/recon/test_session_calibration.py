@@ -11,7 +11,8 @@ from session_example import COLS, PLACES, ROWS, write_session
 
 from recon.calibration.errors import CalibrationError
 from recon.maps import load_maps
-from recon.run import Settings, run_session
+from recon.run import run_session
+from recon.running.settings import Settings
 from recon.sessions.importer import import_folder, read_layout
 from recon.sessions.manifest import Manifest
 

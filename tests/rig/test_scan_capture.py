@@ -9,7 +9,9 @@ import numpy as np
 import pytest
 from rich.console import Console
 
-from recon.run import Settings, decode_session, reconstruct
+from recon.run import decode_session
+from recon.running.outcome import reconstruct
+from recon.running.settings import Settings
 from recon.sessions.session import TRUTH_NAME, open_session
 from recon.sessions.wholeness import faults
 from rig.capturing.capture import capture

@@ -1,0 +1,1 @@
+"""The parts of a reconstruction that :mod:`recon.run` puts in order."""

@@ -1,0 +1,109 @@
+"""The numbers of a run, gathered from its stages."""
+
+import hashlib
+import platform
+from dataclasses import asdict
+from importlib.metadata import PackageNotFoundError, version
+from pathlib import Path
+
+import numpy as np
+
+from recon.calibration.calibration_file import CALIBRATION_NAME
+from recon.calibration.session_calibration import calibration_path
+from recon.maps import Maps
+from recon.metrics import Funnel, Metrics, SampleCurve
+from recon.running.outcome import Outcome
+from recon.running.settings import Settings
+from recon.scene.scene_stage import SceneStage
+from recon.sessions.journal import JOURNAL_NAME
+from recon.sessions.session import MANIFEST_NAME, Session
+from recon.stage_timer import StageTimer
+from recon.status import PixelStatus
+from recon.sweeps.correspondence import SweepResult
+from recon.verdict import verdict
+
+LIBRARIES = ("refractive-scan", "numpy", "scipy", "opencv-contrib-python-headless", "simplejpeg", "pyamg")
+CURVES_SHOWN = 8
+
+
+def metrics_of(
+    session: Session,
+    sweeps: dict[tuple[str, str], SweepResult],
+    outcome: Outcome,
+    settings: Settings,
+    timer: StageTimer,
+    scene: SceneStage,
+) -> Metrics:
+    """Return all that is to be known of a run, its verdict first."""
+    maps, manifest = outcome.maps, session.manifest
+    lit = ~np.stack([one.status == PixelStatus.UNLIT for one in sweeps.values()]).all(axis=0)
+    matched = np.stack([one.status == PixelStatus.OK for one in sweeps.values()]).all(axis=0)
+    valid = maps.valid()
+    funnel = Funnel(
+        pixels=maps.status.size,
+        lit=int(lit.sum()),
+        matched=int(matched.sum()),
+        entry_points=int(valid.sum()),
+        normals=int((valid & np.isfinite(maps.normal).all(axis=2)).sum()),
+    )
+    photos = tuple(photo for one in sweeps.values() for photo in one.photos)
+    return Metrics(
+        session=manifest.name,
+        method=settings.method,
+        length_unit=manifest.length_unit,
+        verdict=verdict(funnel, maps, gap_ratio=outcome.gap_ratio, photos=photos, scene=scene.warnings),
+        funnel=funnel,
+        status_counts={one.name: int((maps.status == one).sum()) for one in PixelStatus},
+        statistics=outcome.statistics,
+        parameters=_parameters(settings, sweeps, outcome.gap_ratio),
+        warnings=(*scene.warnings, *outcome.warnings),
+        versions=_versions(),
+        hashes=_hashes(session, calibration_path(session, settings.calibration)),
+        stages=timer.stages(),
+        curves=_chosen_curves(sweeps, maps),
+        photos=photos,
+        scene=scene.comparisons,
+        scene_note=scene.note,
+    )
+
+
+def _parameters(
+    settings: Settings, sweeps: dict[tuple[str, str], SweepResult], ratio: float | None
+) -> dict[str, object]:
+    parameters: dict[str, object] = {"method": settings.method, **asdict(settings.limits)}
+    parameters["normalised_gap"] = ratio
+    for (name, axis), one in sweeps.items():
+        parameters[f"noise_{name}_{axis}"] = {
+            **asdict(one.noise),
+            "misfit": None if np.isnan(one.misfit) else one.misfit,
+        }
+    return parameters
+
+
+def _versions() -> dict[str, str]:
+    found = {"python": platform.python_version()}
+    for name in LIBRARIES:
+        try:
+            found[name] = version(name)
+        except PackageNotFoundError:  # run from a checkout that was never installed
+            found[name] = "not installed"
+    return found
+
+
+def _hashes(session: Session, calibration: Path | None) -> dict[str, str]:
+    files = {name: session.folder / name for name in (MANIFEST_NAME, JOURNAL_NAME)}
+    if calibration is not None:
+        files[CALIBRATION_NAME] = calibration
+    return {name: hashlib.sha256(path.read_bytes()).hexdigest() for name, path in files.items()}
+
+
+def _chosen_curves(sweeps: dict[tuple[str, str], SweepResult], maps: Maps) -> tuple[SampleCurve, ...]:
+    """Return a few curves of pixels that became points, spread over the sweeps and over the image."""
+    chosen = []
+    per_sweep = max(CURVES_SHOWN // len(sweeps), 1)
+    for number, one in enumerate(sweeps.values()):
+        fine = [curve for curve in one.curves if maps.status[curve.row, curve.col] == PixelStatus.OK]
+        if fine:
+            places = np.linspace(0, len(fine) - 1, per_sweep + 2).astype(int)[1:-1]
+            chosen += [fine[(int(place) + number * 5) % len(fine)] for place in places]
+    return tuple(chosen)
