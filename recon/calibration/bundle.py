@@ -1,9 +1,7 @@
 """One least-squares adjustment of everything that boards on the display tell: lens, poses, liquid level, cover glass, scale.
 
-Residuals are corners (measured less predicted, in px over their sd) and soft constraints (what is known beforehand, each over
-its sd), so that the inverse of JᵀJ is the covariance. A corner is compared on the screen, where the exact path from the camera
-ends (:mod:`recon.calibration.sight_line`), and the difference is carried back to the photo by the path's own derivative: no
-search for the path is needed.
+Residuals are corners (:mod:`recon.calibration.sighting`: measured less predicted, in px over their sd) and soft constraints
+(what is known beforehand, each over its sd), so that the inverse of JᵀJ is the covariance.
 """
 
 from collections.abc import Callable, Sequence
@@ -14,37 +12,14 @@ from jaxtyping import Bool, Float64
 from scipy.optimize import OptimizeResult, least_squares
 
 from recon.calibration.bundle_state import BundleState, Freedom, ParameterTable
-from recon.calibration.detection import BoardView
 from recon.calibration.errors import CalibrationError
-from recon.calibration.lens import Lens, solve_2_by_2, view_rays
-from recon.calibration.sight_line import panel_places
+from recon.calibration.sighting import Corners, Media, Sighting, corner_derivatives, corner_residuals
 
-# Half a step of the derivatives that carry a difference on the screen back to the photo.
-NUDGE_PX = 0.5
 ROUNDS = 8
 # A corner this many robust sigmas off is a wrong one (1 in 10⁷ good ones, both axes).
 OUTLIER_SIGMA = 5.5
 MAD_TO_SD = 1.4826
 FEWEST_CORNERS = 8
-
-
-@dataclass(frozen=True, slots=True, eq=False)
-class Sighting:
-    """One photo of the board on the display: where the panel stood (a name), and whether liquid lay before it."""
-
-    view: BoardView
-    panel: str
-    wet: bool = False
-
-
-@dataclass(frozen=True, slots=True)
-class Media:
-    """Refractive indices: of air, of the liquid, of the cover glass."""
-
-    n_air: float = 1.0
-    n_liquid: float = 1.0
-    n_glass: float = 1.0
-
 
 # A soft constraint: from the state to numbers that would be 0 if all were as known, each over its standard deviation.
 Constraint = Callable[[BundleState], Float64[np.ndarray, " _"]]
@@ -59,6 +34,7 @@ class BundleResult:
     covariance : of the free parameters, in the order of ``table``.
     corner_sd_px : sd of a corner along each axis, from the residuals.
     rms_px : root mean square reprojection error over both axes of the corners that were kept.
+    sightings : the photos, in order.
     residual_px : of each sighting's corners, in order, dropped ones included.
     kept : which corners of each sighting were used.
     constraint_sigma : how far the soft constraints are off at the solution, in their sd.
@@ -69,6 +45,7 @@ class BundleResult:
     covariance: Float64[np.ndarray, "parameters parameters"]
     corner_sd_px: float
     rms_px: float
+    sightings: tuple[Sighting, ...]
     residual_px: tuple[Float64[np.ndarray, "_ 2"], ...]
     kept: tuple[Bool[np.ndarray, " _"], ...]
     constraint_sigma: Float64[np.ndarray, " _"]
@@ -109,106 +86,63 @@ def adjust(
                 "show the board again, sharp, unobstructed and not overexposed"
             )
     table = ParameterTable.of(start, freedom)
-    kept = [np.ones(len(sighting.view.corner), bool) for sighting in sightings]
+    corners = Corners.of(sightings, tuple(start.panels))
+    kept = np.ones(len(corners.place_px), bool)
     state, sd_px = start, corner_sd_px
     for _ in range(ROUNDS):
-        problem = _Problem(state, table, tuple(sightings), tuple(kept), media, tuple(constraints), sd_px)
+        problem = _Problem(state, table, corners, kept, media, tuple(constraints), sd_px)
         solution = _solved(problem)
         state = table.moved(state, solution.x)
-        residuals = [corner_residuals(state, sighting, media=media) for sighting in sightings]
-        now_kept = _kept(residuals, kept)
-        new_sd_px = _corner_sd(residuals, now_kept, problem, solution.jac)
-        settled = abs(new_sd_px / sd_px - 1) < 1e-2 and all(map(np.array_equal, kept, now_kept))
+        residual = corner_residuals(state, corners, media=media)
+        now_kept = _kept(residual, kept)
+        new_sd_px = _corner_sd(residual[now_kept], problem, solution.jac)
+        settled = abs(new_sd_px / sd_px - 1) < 1e-2 and np.array_equal(kept, now_kept)
         kept, sd_px = now_kept, new_sd_px
         if settled:
             break
-    final = replace(problem, state=state, kept=tuple(kept), corner_sd_px=sd_px)
+    final = replace(problem, state=state, kept=kept, corner_sd_px=sd_px)
     jacobian = final.jacobian(np.zeros(table.count))
-    used = np.concatenate([residual[keep] for residual, keep in zip(residuals, kept, strict=True)])
     return BundleResult(
         state=state,
         table=table,
         covariance=_inverse(jacobian.T @ jacobian),
         corner_sd_px=sd_px,
-        rms_px=float(np.sqrt((used**2).sum(axis=1).mean())),
-        residual_px=tuple(residuals),
-        kept=tuple(kept),
+        rms_px=float(np.sqrt((residual[kept] ** 2).sum(axis=1).mean())),
+        sightings=tuple(sightings),
+        residual_px=corners.split(residual),
+        kept=corners.split(kept),
         constraint_sigma=final.constraint_values(state),
     )
-
-
-def sighting_rays(view: BoardView, lens: Lens) -> Float64[np.ndarray, "five corners 3"]:
-    """Return the rays through a view's corners, and through four places close to each, for derivatives."""
-    nudges = NUDGE_PX * np.array([[0.0, 0.0], [1, 0], [-1, 0], [0, 1], [0, -1]])
-    places = view.place_px[None] + nudges[:, None]
-    return view_rays(places.reshape(-1, 2), lens).reshape(5, -1, 3)
-
-
-def corner_residuals(
-    state: BundleState,
-    sighting: Sighting,
-    *,
-    media: Media,
-    rays: Float64[np.ndarray, "five corners 3"] | None = None,
-) -> Float64[np.ndarray, "corners 2"]:
-    """Return measured less predicted places of a sighting's corners in the photo, px; ``rays`` are those of the state's lens."""
-    view = sighting.view
-    through = sighting_rays(view, state.lens) if rays is None else rays
-    seen = panel_places(
-        through.reshape(-1, 3),
-        state.panels[sighting.panel],
-        n_air=media.n_air,
-        liquid=state.liquid if sighting.wet else None,
-        n_liquid=media.n_liquid,
-        glass_mm=state.glass_mm,
-        n_glass=media.n_glass,
-    ).reshape(5, -1, 2)
-    mm_per_px = np.stack([seen[1] - seen[2], seen[3] - seen[4]], axis=2) / (2 * NUDGE_PX)
-    return solve_2_by_2(mm_per_px, seen[0] - state.scale * view.board_mm)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class _Problem:
     state: BundleState
     table: ParameterTable
-    sightings: tuple[Sighting, ...]
-    kept: tuple[np.ndarray, ...]
+    corners: Corners
+    kept: np.ndarray
     media: Media
     constraints: tuple[Constraint, ...]
     corner_sd_px: float
 
     def values(self, step: np.ndarray) -> np.ndarray:
         state = self.table.moved(self.state, step)
-        parts = [self._corners(state, number, None) for number in range(len(self.sightings))]
-        return np.concatenate([*parts, self.constraint_values(state)])
+        residual = corner_residuals(state, self.corners, media=self.media)[self.kept] / self.corner_sd_px
+        return np.concatenate([residual.ravel(), self.constraint_values(state)])
 
     def constraint_values(self, state: BundleState) -> np.ndarray:
         return np.concatenate([np.zeros(0), *(constraint(state) for constraint in self.constraints)])
 
     def jacobian(self, step: np.ndarray) -> np.ndarray:
-        """Return the central differences; a panel's pose moves its own sightings and the constraints only."""
         here = self.table.moved(self.state, step)
-        rays = [sighting_rays(sighting.view, here.lens) for sighting in self.sightings]
-        columns = []
-        for number in range(self.table.count):
+        by_corner = corner_derivatives(here, self.corners, self.table, media=self.media)[self.kept] / self.corner_sd_px
+        by_constraint = []
+        for number, size in enumerate(self.table.nudge):
             nudge = np.zeros(self.table.count)
-            nudge[number] = self.table.nudge[number]
-            ahead, behind = self.table.moved(self.state, step + nudge), self.table.moved(self.state, step - nudge)
-            owner, same_rays = self.table.owner(number), not self.table.is_lens(number)
-            parts = [
-                self._corners(ahead, one, rays[one] if same_rays else None)
-                - self._corners(behind, one, rays[one] if same_rays else None)
-                if owner is None or owner == sighting.panel
-                else np.zeros(2 * np.count_nonzero(self.kept[one]))
-                for one, sighting in enumerate(self.sightings)
-            ]
-            parts.append(self.constraint_values(ahead) - self.constraint_values(behind))
-            columns.append(np.concatenate(parts) / (2 * nudge[number]))
-        return np.column_stack(columns)
-
-    def _corners(self, state: BundleState, number: int, rays: np.ndarray | None) -> np.ndarray:
-        residual = corner_residuals(state, self.sightings[number], media=self.media, rays=rays)
-        return residual[self.kept[number]].ravel() / self.corner_sd_px
+            nudge[number] = size
+            ahead, behind = (self.constraint_values(self.table.moved(here, sign * nudge)) for sign in (1, -1))
+            by_constraint.append((ahead - behind) / (2 * size))
+        return np.vstack([by_corner.reshape(-1, self.table.count), np.column_stack(by_constraint)])
 
 
 def _solved(problem: _Problem) -> OptimizeResult:
@@ -231,20 +165,17 @@ def _solved(problem: _Problem) -> OptimizeResult:
     return solution
 
 
-def _kept(residuals: list[np.ndarray], kept: list[np.ndarray]) -> list[np.ndarray]:
+def _kept(residual: np.ndarray, kept: np.ndarray) -> np.ndarray:
     """Return which corners are within so many robust sigmas, taken over all that are kept now."""
-    used = np.concatenate([residual[keep] for residual, keep in zip(residuals, kept, strict=True)])
-    sigma = MAD_TO_SD * float(np.median(np.abs(used)))
-    return [(np.abs(residual) <= OUTLIER_SIGMA * max(sigma, 1e-6)).all(axis=1) for residual in residuals]
+    sigma = MAD_TO_SD * float(np.median(np.abs(residual[kept])))
+    return (np.abs(residual) <= OUTLIER_SIGMA * max(sigma, 1e-6)).all(axis=1)
 
 
-def _corner_sd(residuals: list[np.ndarray], kept: list[np.ndarray], problem: _Problem, jacobian: np.ndarray) -> float:
+def _corner_sd(used: np.ndarray, problem: _Problem, jacobian: np.ndarray) -> float:
     """Return the sd of a corner: its degrees of freedom are less by what the corners, not the constraints, determine."""
-    squares = sum(float((residual[keep] ** 2).sum()) for residual, keep in zip(residuals, kept, strict=True))
-    count = 2 * sum(int(np.count_nonzero(keep)) for keep in kept)
-    corners = jacobian[: len(jacobian) - len(problem.constraint_values(problem.state))]
-    explained = float(np.trace(_inverse(jacobian.T @ jacobian) @ (corners.T @ corners)))
-    return max(float(np.sqrt(squares / max(count - explained, 1.0))), 1e-6)
+    by_corner = jacobian[: 2 * int(np.count_nonzero(problem.kept))]
+    explained = float(np.trace(_inverse(jacobian.T @ jacobian) @ (by_corner.T @ by_corner)))
+    return max(float(np.sqrt((used**2).sum() / max(used.size - explained, 1.0))), 1e-6)
 
 
 def _inverse(information: np.ndarray) -> np.ndarray:
@@ -261,3 +192,6 @@ def _inverse(information: np.ndarray) -> np.ndarray:
             "display poses: two unknowns cannot be told apart by these photos; fix one of them (scale, glass or level)"
         ) from None
     return inverse / np.outer(scale, scale)
+
+
+__all__ = ["BundleResult", "Constraint", "Media", "Sighting", "adjust"]

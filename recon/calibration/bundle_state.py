@@ -104,11 +104,15 @@ class ParameterTable:
 
 def moved_pose(pose: PanelPose, by: Float64[np.ndarray, " 6"]) -> PanelPose:
     """Return a pose turned by a rotation vector about the camera's axes (rad), its centre shifted along them (mm)."""
+    if not by.any():
+        return pose
     return PanelPose(cv2.Rodrigues(by[:3])[0] @ pose.rotation, pose.centre_mm + by[3:])
 
 
 def tilted(liquid: LiquidPlane, step: Float64[np.ndarray, " 3"]) -> LiquidPlane:
     """Return the surface leaning by two small angles towards the axes of :func:`across`, and farther by a distance."""
+    if not step.any():
+        return liquid
     first, second = across(liquid.down)
     down = liquid.down + step[0] * first + step[1] * second
     return LiquidPlane(down / np.linalg.norm(down), liquid.distance_mm + float(step[2]))

@@ -46,13 +46,18 @@ def panel_places(
 
     ``n_liquid`` counts only with a ``liquid``. Rays that do not run into the screen give NaN.
     """
-    start, direction, n_last = np.zeros_like(ray), ray, n_air
-    if liquid is not None:
-        slope = ray @ liquid.down
-        with np.errstate(divide="ignore", invalid="ignore"):
-            start = ray * np.where(slope > 0, liquid.distance_mm / slope, np.nan)[:, None]
-        direction, n_last = bent(ray, liquid.down, n_from=n_air, n_to=n_liquid), n_liquid
-    return places_from(start, direction, pose, n_medium=n_last, glass_mm=glass_mm, n_glass=n_glass)
+    if liquid is None:
+        return places_from(np.zeros_like(ray), ray, pose, n_medium=n_air, glass_mm=glass_mm, n_glass=n_glass)
+    start_mm, direction = under_surface(ray, liquid, n_air=n_air, n_liquid=n_liquid)
+    return places_from(start_mm, direction, pose, n_medium=n_liquid, glass_mm=glass_mm, n_glass=n_glass)
+
+
+def under_surface(ray: Vectors, liquid: LiquidPlane, *, n_air: float, n_liquid: float) -> tuple[Vectors, Vectors]:
+    """Return where rays from the camera's centre meet the liquid (mm; NaN where they do not), and their direction in it."""
+    slope = ray @ liquid.down
+    with np.errstate(divide="ignore", invalid="ignore"):
+        start_mm = ray * np.where(slope > 0, liquid.distance_mm / slope, np.nan)[:, None]
+    return start_mm, bent(ray, liquid.down, n_from=n_air, n_to=n_liquid)
 
 
 def places_from(
@@ -65,16 +70,31 @@ def places_from(
     n_glass: float = 1.0,
 ) -> Float64[np.ndarray, "rays 2"]:
     """Return the screen coordinates that rays in the medium before the panel end at; NaN where they miss it."""
-    into = pose.rotation[:, 2]
-    front_mm = pose.centre_mm - glass_mm * into
-    slope = direction @ into
-    with np.errstate(divide="ignore", invalid="ignore"):
-        along = np.where(slope > 0, ((front_mm - start_mm) @ into) / slope, np.nan)
-    place = start_mm + along[:, None] * direction - pose.centre_mm
+    inside = direction
     if glass_mm != 0:
-        inside = bent(direction, into, n_from=n_medium, n_to=n_glass)
-        place = place + inside * (glass_mm / (inside @ into))[:, None]
-    return place @ pose.rotation[:, :2]
+        inside = bent(direction, pose.rotation[:, 2], n_from=n_medium, n_to=n_glass)
+    return upright_places(
+        (start_mm - pose.centre_mm) @ pose.rotation,
+        direction @ pose.rotation,
+        inside @ pose.rotation,
+        glass_mm=glass_mm,
+    )
+
+
+def upright_places(
+    start_mm: Vectors, direction: Vectors, inside: Vectors, *, glass_mm: float
+) -> Float64[np.ndarray, "rays 2"]:
+    """Return where rays given in the screen's own frame meet its plane z = 0; NaN where they miss it.
+
+    ``inside`` is their direction in the cover glass, which begins at z = −``glass_mm``.
+    """
+    slope = direction[:, 2]
+    with np.errstate(divide="ignore", invalid="ignore"):
+        along = np.where(slope > 0, (-glass_mm - start_mm[:, 2]) / slope, np.nan)
+    place = start_mm[:, :2] + along[:, None] * direction[:, :2]
+    if glass_mm != 0:
+        place = place + inside[:, :2] * (glass_mm / inside[:, 2])[:, None]
+    return place
 
 
 def bent(direction: Vectors, towards: Float64[np.ndarray, "*rays 3"], *, n_from: float, n_to: float) -> Vectors:
