@@ -21,8 +21,17 @@ OUTLIER_SIGMA = 5.5
 MAD_TO_SD = 1.4826
 FEWEST_CORNERS = 8
 
-# A soft constraint: from the state to numbers that would be 0 if all were as known, each over its standard deviation.
-Constraint = Callable[[BundleState], Float64[np.ndarray, " _"]]
+
+@dataclass(frozen=True, slots=True)
+class Constraint:
+    """What is known beforehand.
+
+    ``misses`` makes of a state the numbers that would be 0 if all were as known, each over its standard deviation; ``parts``
+    names the parts of the state that they depend on.
+    """
+
+    misses: Callable[[BundleState], Float64[np.ndarray, " _"]]
+    parts: tuple[str, ...]
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -131,18 +140,26 @@ class _Problem:
         return np.concatenate([residual.ravel(), self.constraint_values(state)])
 
     def constraint_values(self, state: BundleState) -> np.ndarray:
-        return np.concatenate([np.zeros(0), *(constraint(state) for constraint in self.constraints)])
+        return np.concatenate([np.zeros(0), *(constraint.misses(state) for constraint in self.constraints)])
 
     def jacobian(self, step: np.ndarray) -> np.ndarray:
         here = self.table.moved(self.state, step)
         by_corner = corner_derivatives(here, self.corners, self.table, media=self.media)[self.kept] / self.corner_sd_px
-        by_constraint = []
-        for number, size in enumerate(self.table.nudge):
-            nudge = np.zeros(self.table.count)
-            nudge[number] = size
-            ahead, behind = (self.constraint_values(self.table.moved(here, sign * nudge)) for sign in (1, -1))
-            by_constraint.append((ahead - behind) / (2 * size))
-        return np.vstack([by_corner.reshape(-1, self.table.count), np.column_stack(by_constraint)])
+        return np.vstack([by_corner.reshape(-1, self.table.count), *self._constraint_derivatives(here)])
+
+    def _constraint_derivatives(self, here: BundleState) -> list[np.ndarray]:
+        """Return the central differences of each constraint by the numbers that it depends on."""
+        out = [np.zeros((len(one.misses(here)), self.table.count)) for one in self.constraints]
+        for name, part in self.table.parts.items():
+            touched = [k for k, one in enumerate(self.constraints) if name in one.parts]
+            for number in range(part.start, part.stop) if touched else ():
+                nudge = np.zeros(self.table.count)
+                nudge[number] = self.table.nudge[number]
+                ahead, behind = self.table.moved(here, nudge), self.table.moved(here, -nudge)
+                for k in touched:
+                    misses = self.constraints[k].misses
+                    out[k][:, number] = (misses(ahead) - misses(behind)) / (2 * nudge[number])
+        return out
 
 
 def _solved(problem: _Problem) -> OptimizeResult:
@@ -153,9 +170,9 @@ def _solved(problem: _Problem) -> OptimizeResult:
             jac=problem.jacobian,
             method="lm",
             x_scale="jac",
-            xtol=1e-9,
-            ftol=1e-9,
-            gtol=1e-9,
+            xtol=1e-7,
+            ftol=1e-7,
+            gtol=1e-7,
             max_nfev=100,
         )
     except (ValueError, np.linalg.LinAlgError) as error:

@@ -1,7 +1,7 @@
 """The unknowns of the adjustment: their values, which of them are free, and how a step moves them."""
 
 from collections.abc import Mapping
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, replace
 
 import cv2
 import numpy as np
@@ -44,7 +44,6 @@ class ParameterTable:
 
     parts: Mapping[str, slice]
     nudge: Float64[np.ndarray, " parameters"]
-    panels: tuple[str, ...] = field(default=())
 
     @classmethod
     def of(cls, state: BundleState, freedom: Freedom) -> "ParameterTable":
@@ -65,7 +64,7 @@ class ParameterTable:
         for name, nudge in nudges.items():
             parts[name] = slice(first, first + len(nudge))
             first += len(nudge)
-        return cls(parts, np.concatenate(list(nudges.values())), tuple(state.panels))
+        return cls(parts, np.concatenate(list(nudges.values())))
 
     @property
     def count(self) -> int:
@@ -76,43 +75,32 @@ class ParameterTable:
         """Return where a part's numbers stand; empty for one that is not free."""
         return self.parts.get(name, slice(0, 0))
 
-    def owner(self, number: int) -> str | None:
-        """Return the panel whose pose a number belongs to, None for one that all sightings share."""
-        return next((name for name in self.panels if self.parts[name].start <= number < self.parts[name].stop), None)
-
-    def is_lens(self, number: int) -> bool:
-        """Tell whether a number belongs to the lens, and so moves rays."""
-        part = self.part(LENS)
-        return part.start <= number < part.stop
-
     def moved(self, state: BundleState, step: Float64[np.ndarray, " parameters"]) -> BundleState:
         """Return the state after a step."""
-        panels = {}
-        for name, pose in state.panels.items():
-            panels[name] = moved_pose(pose, step[self.parts[name]])
+        moving = {name for name, part in self.parts.items() if step[part].any()}
+        panels = {
+            name: moved_pose(pose, step[self.parts[name]]) if name in moving else pose
+            for name, pose in state.panels.items()
+        }
         changes: dict[str, object] = {"panels": panels}
-        if LENS in self.parts:
+        if LENS in moving:
             changes["lens"] = state.lens + step[self.parts[LENS]]
-        if LIQUID in self.parts and state.liquid is not None:
+        if LIQUID in moving and state.liquid is not None:
             changes["liquid"] = tilted(state.liquid, step[self.parts[LIQUID]])
-        if GLASS in self.parts:
+        if GLASS in moving:
             changes["glass_mm"] = state.glass_mm + float(step[self.parts[GLASS]][0])
-        if SCALE in self.parts:
+        if SCALE in moving:
             changes["scale"] = state.scale + float(step[self.parts[SCALE]][0])
         return replace(state, **changes)  # type: ignore[arg-type]  # each value is of its field's type
 
 
 def moved_pose(pose: PanelPose, by: Float64[np.ndarray, " 6"]) -> PanelPose:
     """Return a pose turned by a rotation vector about the camera's axes (rad), its centre shifted along them (mm)."""
-    if not by.any():
-        return pose
     return PanelPose(cv2.Rodrigues(by[:3])[0] @ pose.rotation, pose.centre_mm + by[3:])
 
 
 def tilted(liquid: LiquidPlane, step: Float64[np.ndarray, " 3"]) -> LiquidPlane:
     """Return the surface leaning by two small angles towards the axes of :func:`across`, and farther by a distance."""
-    if not step.any():
-        return liquid
     first, second = across(liquid.down)
     down = liquid.down + step[0] * first + step[1] * second
     return LiquidPlane(down / np.linalg.norm(down), liquid.distance_mm + float(step[2]))

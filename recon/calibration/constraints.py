@@ -7,7 +7,7 @@ import numpy as np
 from jaxtyping import Float64
 
 from recon.calibration.bundle import Constraint
-from recon.calibration.bundle_state import BundleState, across
+from recon.calibration.bundle_state import GLASS, LENS, LIQUID, SCALE, BundleState, across
 from recon.calibration.lens import Lens
 from recon.calibration.sight_line import LiquidPlane, PanelPose
 
@@ -22,7 +22,7 @@ def lens_known(lens: Lens, covariance: Float64[np.ndarray, "9 9"]) -> Constraint
     def misses(state: BundleState) -> Float64[np.ndarray, " _"]:
         return whiten @ (state.lens - lens)
 
-    return misses
+    return Constraint(misses, (LENS,))
 
 
 def travel_known(first: str, second: str, *, travel_mm: float, sd_mm: float) -> Constraint:
@@ -32,7 +32,7 @@ def travel_known(first: str, second: str, *, travel_mm: float, sd_mm: float) -> 
         moved_mm = np.linalg.norm(state.panels[second].centre_mm - state.panels[first].centre_mm)
         return np.array([(moved_mm - travel_mm) / sd_mm])
 
-    return misses
+    return Constraint(misses, (first, second))
 
 
 def turned_alike(first: str, second: str, *, sd_rad: float) -> Constraint:
@@ -41,7 +41,7 @@ def turned_alike(first: str, second: str, *, sd_rad: float) -> Constraint:
     def misses(state: BundleState) -> Float64[np.ndarray, " _"]:
         return turn_between(state.panels[first], state.panels[second]) / sd_rad
 
-    return misses
+    return Constraint(misses, (first, second))
 
 
 def slipped_little(dry: str, wet: str, *, sd: Sequence[float]) -> Constraint:
@@ -53,7 +53,7 @@ def slipped_little(dry: str, wet: str, *, sd: Sequence[float]) -> Constraint:
     def misses(state: BundleState) -> Float64[np.ndarray, " _"]:
         return slip(state.panels[dry], state.panels[wet]) / np.asarray(sd, dtype=np.float64)
 
-    return misses
+    return Constraint(misses, (dry, wet))
 
 
 def level_known(liquid: LiquidPlane, *, tilt_sd_rad: float, distance_sd_mm: float) -> Constraint:
@@ -65,17 +65,17 @@ def level_known(liquid: LiquidPlane, *, tilt_sd_rad: float, distance_sd_mm: floa
         lean = np.array([state.liquid.down @ first, state.liquid.down @ second])
         return np.append(lean / tilt_sd_rad, (state.liquid.distance_mm - liquid.distance_mm) / distance_sd_mm)
 
-    return misses
+    return Constraint(misses, (LIQUID,))
 
 
 def scale_known(*, sd: float) -> Constraint:
     """The pitch is as the maker says, to a share of ``sd``."""
-    return lambda state: np.array([(state.scale - 1) / sd])
+    return Constraint(lambda state: np.array([(state.scale - 1) / sd]), (SCALE,))
 
 
 def glass_known(thickness_mm: float, *, sd_mm: float) -> Constraint:
     """The cover glass is about so thick."""
-    return lambda state: np.array([(state.glass_mm - thickness_mm) / sd_mm])
+    return Constraint(lambda state: np.array([(state.glass_mm - thickness_mm) / sd_mm]), (GLASS,))
 
 
 def turn_between(first: PanelPose, second: PanelPose) -> Float64[np.ndarray, " 3"]:

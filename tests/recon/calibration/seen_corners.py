@@ -1,6 +1,6 @@
 """Where the simulator's optics show points of the display: the independent truth of the calibration's tests."""
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 
 import numpy as np
 
@@ -110,13 +110,30 @@ def seen_places(scene: Scene, screen_mm: np.ndarray, stage_mm: float, *, wet: bo
         size = np.array([panel.columns, panel.rows])
         return (np.column_stack([hits.x_mm, hits.y_mm]) + 0.5 - size / 2) * panel.pitch_mm
 
+    return newton(lambda places: on_screen(places) - screen_mm, place)
+
+
+def seen_points(scene: Scene, point_mm: np.ndarray, *, wet: bool = False) -> np.ndarray:
+    """Return where the camera sees any points in its frame, beside the object and without cover glass before them."""
+    camera = scene.camera
+    in_world = point_mm @ camera.world_from_camera().T + np.array(camera.position_mm)
+    world = scene.world(wet=wet, object_present=False)
+
+    def miss_mm(places: np.ndarray) -> np.ndarray:
+        direction = look(camera, places[:, 0], places[:, 1])
+        paths = trace(world, np.broadcast_to(np.array(camera.position_mm), direction.shape), direction)
+        along_mm = (in_world[:, 2] - paths.origin[:, 2]) / paths.direction[:, 2]
+        return (paths.origin + along_mm[:, None] * paths.direction - in_world)[:, :2]
+
+    return newton(miss_mm, project(scene, point_mm))
+
+
+def newton(miss: Callable[[np.ndarray], np.ndarray], place: np.ndarray) -> np.ndarray:
+    """Return the places in the photo at which two misses are nought."""
     for _ in range(ROUNDS):
-        here = on_screen(place)
-        slope = np.stack(
-            [(on_screen(place + nudge) - here) / NUDGE_PX for nudge in NUDGE_PX * np.eye(2)],
-            axis=2,
-        )
-        place = place - np.linalg.solve(slope, (here - screen_mm)[:, :, None])[:, :, 0]
+        here = miss(place)
+        slope = np.stack([(miss(place + nudge) - here) / NUDGE_PX for nudge in NUDGE_PX * np.eye(2)], axis=2)
+        place = place - np.linalg.solve(slope, here[:, :, None])[:, :, 0]
     return place
 
 
