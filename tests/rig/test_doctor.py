@@ -84,7 +84,7 @@ def without_numbers(screen: str) -> list[str]:
 
 
 def test_with_nothing_attached_every_failing_line_says_how_to_mend_it(doctor: Run, monkeypatch) -> None:
-    monkeypatch.setattr(rig.doctor_camera, "find_usb_cameras", lambda: ())
+    monkeypatch.setattr(rig.checking.doctor_camera, "find_usb_cameras", lambda: ())
     code, out, err = doctor()
     assert (code, err) == (1, "")
     lines = out.splitlines()
@@ -255,16 +255,18 @@ def test_a_disk_that_is_too_small_for_the_plan_fails(bench: DoctorBench, tmp_pat
 
 
 def test_a_camera_that_another_program_holds_is_named_with_the_program(monkeypatch) -> None:
-    monkeypatch.setattr(rig.doctor_camera, "find_usb_cameras", lambda: (UsbCamera(1, 5, 0x04A9, 0x3145),))
-    monkeypatch.setattr(rig.doctor_camera, "permission_fault", lambda _: None)
-    monkeypatch.setattr(rig.doctor_camera, "programs_holding", lambda _: ("gvfsd-gphoto2 (1234)",))
+    monkeypatch.setattr(rig.checking.doctor_camera, "find_usb_cameras", lambda: (UsbCamera(1, 5, 0x04A9, 0x3145),))
+    monkeypatch.setattr(rig.checking.doctor_camera, "permission_fault", lambda _: None)
+    monkeypatch.setattr(rig.checking.doctor_camera, "programs_holding", lambda _: ("gvfsd-gphoto2 (1234)",))
     (held,) = check_usb("usb:")
     assert (held.result, held.found) == ("fail", "usb:001,005 is held by gvfsd-gphoto2 (1234)")
     assert "gio mount -s gphoto2" in held.mend
-    monkeypatch.setattr(rig.doctor_camera, "programs_holding", lambda _: ())
+    monkeypatch.setattr(rig.checking.doctor_camera, "programs_holding", lambda _: ())
     (free,) = check_usb("usb:001,005")
     assert free.result == "pass"
-    monkeypatch.setattr(rig.doctor_camera, "permission_fault", lambda _: "no right; install the rule: sudo cp A B")
+    monkeypatch.setattr(
+        rig.checking.doctor_camera, "permission_fault", lambda _: "no right; install the rule: sudo cp A B"
+    )
     (forbidden,) = check_usb("usb:")
     assert (forbidden.result, forbidden.mend) == ("fail", "install the rule: sudo cp A B")
 

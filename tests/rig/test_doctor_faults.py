@@ -101,7 +101,7 @@ def test_a_battery_that_is_nearly_empty_is_a_warning(
 
 
 def test_a_libgphoto2_that_is_too_old_fails(operator_reads: OperatorReads, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(rig.doctor_machine, "library_version", lambda: "2.5.27")
+    monkeypatch.setattr(rig.checking.doctor_machine, "library_version", lambda: "2.5.27")
     found = check_libgphoto2()
     assert found.result == "fail"
     operator_reads(line_of(found))
@@ -118,7 +118,7 @@ CANON, NIKON = UsbCamera(1, 5, 0x04A9, 0x3146), UsbCamera(1, 7, 0x04B0, 0x0437)
 def test_a_camera_that_is_not_the_only_one_or_not_there_fails(
     operator_reads: OperatorReads, monkeypatch: pytest.MonkeyPatch, wanted: str, there: tuple[UsbCamera, ...]
 ) -> None:
-    monkeypatch.setattr(rig.doctor_camera, "find_usb_cameras", lambda: there)
+    monkeypatch.setattr(rig.checking.doctor_camera, "find_usb_cameras", lambda: there)
     found = next(iter(check_usb(wanted)))
     assert found.result == "fail"
     operator_reads(line_of(found))
@@ -129,10 +129,12 @@ def test_a_disk_that_the_plan_nearly_fills_is_a_warning(
 ) -> None:
     config, _ = read_config(bench.file)
     assert config is not None
-    needed_gb = rig.doctor_machine.summarise(rig.doctor_machine.plan_capture(config), config).gigabytes
-    usage = rig.doctor_machine.shutil.disk_usage(tmp_path)
+    needed_gb = rig.checking.doctor_machine.summarise(
+        rig.checking.doctor_machine.plan_capture(config), config
+    ).gigabytes
+    usage = rig.checking.doctor_machine.shutil.disk_usage(tmp_path)
     for free_gb in (0.9 * needed_gb, 1.1 * needed_gb):
         nearly_full = usage._replace(free=int(free_gb * 1e9))
-        monkeypatch.setattr(rig.doctor_machine.shutil, "disk_usage", lambda _, usage=nearly_full: usage)
-        (found,) = rig.doctor_machine.check_disk(config, Path("/data"))
+        monkeypatch.setattr(rig.checking.doctor_machine.shutil, "disk_usage", lambda _, usage=nearly_full: usage)
+        (found,) = rig.checking.doctor_machine.check_disk(config, Path("/data"))
         operator_reads(line_of(found))
