@@ -62,6 +62,13 @@ def run(
             help="Calibration of the rig, whose poses replace the manifest's. [default: SESSION/calibration.json, if it is there]"
         ),
     ] = None,
+    registration: Annotated[
+        bool,
+        typer.Option(
+            help="Method full: correct how the display slipped in its plane between air and liquid, as the gaps between "
+            "the light paths tell it."
+        ),
+    ] = True,
 ) -> None:
     """Reconstruct one session: maps, cloud, mesh, numbers and a report."""
     # Loads the report's plotting, which would slow every other command by a second.
@@ -74,9 +81,10 @@ def run(
         angle_sigma=angle_sigma,
     )
     out = out or session / f"recon-{method}"
-    metrics = run_session(
-        session, out, Settings(method=method, limits=limits, threads=threads, calibration=calibration)
+    settings = Settings(
+        method=method, limits=limits, threads=threads, calibration=calibration, registration=registration
     )
+    metrics = run_session(session, out, settings)
     print_result(metrics, out)
 
 

@@ -100,6 +100,34 @@ class SceneComparison(Part):
     error_mm: float | None
 
 
+class DisplayMotion(Part):
+    """How the display moved in its plane at one position between air and liquid, each with its standard deviation."""
+
+    position: Literal[0, 1]
+    x_mm: float
+    x_sd_mm: float
+    y_mm: float
+    y_sd_mm: float
+    turn_deg: float
+    turn_sd_deg: float
+
+
+class RegistrationRecord(Part):
+    """What the gaps said of the displays in liquid, and whether the poses were corrected by it.
+
+    ``gap_before`` and ``gap_after``: the normalised gap (robust rms of gap over its sd) with the poses as given, and with
+    the motions. ``directions`` of the six numbers were determined by the gaps; the others stay as given.
+    """
+
+    applied: bool
+    sigma: float
+    conflict_sigma: float
+    directions: int
+    gap_before: float
+    gap_after: float
+    motions: tuple[DisplayMotion, DisplayMotion]
+
+
 class Metrics(Part):
     """All that ``metrics.json`` holds."""
 
@@ -120,6 +148,7 @@ class Metrics(Part):
     photos: tuple[PhotoQuality, ...] = ()
     scene: tuple[SceneComparison, ...] = ()
     scene_note: str = ""
+    registration: RegistrationRecord | None = None
 
 
 def save_metrics(metrics: Metrics, path: Path) -> None:

@@ -46,7 +46,11 @@ class Correspondences:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Crossing:
-    """All that is known of the pixels listed in ``pixels`` before they become maps."""
+    """All that is known of the pixels listed in ``pixels`` before they become maps.
+
+    ``carried_mm2`` and ``carried_rad2`` are the variances of point and normal that all pixels share, since they stem from the
+    poses and not from each pixel's own noise: neighbours cannot average them out.
+    """
 
     pixels: np.ndarray
     liquid: LightPaths
@@ -54,6 +58,8 @@ class Crossing:
     points: EntryPoints
     normal: np.ndarray
     normal_sd_rad: np.ndarray
+    carried_mm2: np.ndarray
+    carried_rad2: np.ndarray
     status: np.ndarray  # of the listed pixels
 
 
@@ -117,6 +123,8 @@ def cross_paths(
         points=points,
         normal=normal,
         normal_sd_rad=normal_sd_rad(paths["liquid"], paths["air"], **media),
+        carried_mm2=np.zeros(len(pixels)),
+        carried_rad2=np.zeros(len(pixels)),
         status=_tests(points, manifest, method=method, limits=limits),
     )
     beside = liquid_surface(
@@ -201,7 +209,7 @@ def maps_of(status: np.ndarray, crossing: Crossing, *, shape: tuple[int, int], m
     fine = crossing.status == PixelStatus.OK
     everywhere = np.ones_like(fine)
     points = crossing.points
-    sd = np.sqrt(np.trace(points.covariance, axis1=1, axis2=2))
+    sd = np.sqrt(np.trace(points.covariance, axis1=1, axis2=2) + crossing.carried_mm2)
     if method == "paper":
         sd = np.full_like(sd, np.nan)
     return Maps(

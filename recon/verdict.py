@@ -67,6 +67,8 @@ def verdict(
     if reasons:
         return Verdict(grade="check", reasons=tuple(reasons), next_action=action)
     fine = f"{funnel.entry_points} points; {funnel.entry_points / max(matched, 1):.1%} of the pixels matched on the object."
+    if gap_ratio is not None:
+        fine += f" Their light paths miss each other by {gap_ratio:.2f} times what noise explains (about 1 is good)."
     return Verdict(grade="pass", reasons=(fine,), next_action=action)
 
 

@@ -68,6 +68,27 @@ def entry_points(liquid: LightPaths, air: LightPaths, *, weighted: bool) -> Entr
     )
 
 
+def crossing_by_liquid(liquid: LightPaths, air: LightPaths, points: EntryPoints) -> Float64[np.ndarray, "pixels 3 3"]:
+    """Return how each crossing moves when its path in liquid is shifted there: what a slipped display does to it.
+
+    Terms of the order of gap times shift are left out, as in the covariance.
+    """
+    cross = np.cross(liquid.direction, air.direction)
+    sine = np.linalg.norm(cross, axis=1)
+    with np.errstate(divide="ignore", invalid="ignore"):
+        common = cross / sine[:, None]
+        variance_air = np.einsum("pi,pij,pj->p", common, air.covariance_at(points.distance_air_mm), common)
+        share = _liquid_share(variance_air, points.gap_sd_mm**2)
+        return _by_liquid(liquid.direction, air.direction, common, sine, share)
+
+
+def _by_liquid(
+    u: np.ndarray, v: np.ndarray, common: np.ndarray, sine: np.ndarray, share: np.ndarray
+) -> Float64[np.ndarray, "pixels 3 3"]:
+    """Shifting line P + sU by d moves the crossing by V (d·(c×U))/sin + share c (c·d)."""
+    return _outer(v / sine[:, None], np.cross(common, u)) + share[:, None, None] * _outer(common, common)
+
+
 def _liquid_share(variance_air: np.ndarray, total: np.ndarray) -> np.ndarray:
     return np.where(total > 0, variance_air / np.where(total > 0, total, 1.0), 0.5)
 
@@ -90,11 +111,8 @@ def _covariance(
     at_air: np.ndarray,
     share: np.ndarray,
 ) -> np.ndarray:
-    """Propagate a small shift of either line to the crossing, leaving out terms of the order of gap times shift.
-
-    Shifting line P + sU by d moves the crossing by V (d·(c×U))/sin + share c (c·d); likewise for the other line.
-    """
-    by_liquid = _outer(v / sine[:, None], np.cross(common, u)) + share[:, None, None] * _outer(common, common)
+    """Propagate a small shift of either line to the crossing, leaving out terms of the order of gap times shift."""
+    by_liquid = _by_liquid(u, v, common, sine, share)
     by_air = _outer(-u / sine[:, None], np.cross(common, v)) + (1 - share)[:, None, None] * _outer(common, common)
     covariance = np.zeros_like(at_liquid)
     for jacobian, shift in ((by_liquid, at_liquid), (by_air, at_air)):

@@ -38,8 +38,10 @@ class LightPaths:
         return (1 + lever) ** 2 * self.near_covariance + lever**2 * self.far_covariance
 
     def direction_covariance(self) -> Float64[np.ndarray, "pixels 3 3"]:
-        """Return the covariance of the unit direction (its part across the line is what counts)."""
-        return (self.near_covariance + self.far_covariance) / self.baseline_mm[:, None, None] ** 2
+        """Return the covariance of the unit direction; a shift of a display point along the line turns nothing."""
+        shift = (self.near_covariance + self.far_covariance) / self.baseline_mm[:, None, None] ** 2
+        across = np.eye(3) - self.direction[:, :, None] * self.direction[:, None, :]
+        return across @ shift @ across
 
 
 def light_paths(
@@ -55,8 +57,7 @@ def light_paths(
     Which position is nearer to the camera follows from the screens' own z axes, which point away from the viewer.
     """
     transforms = [pose.world_from_screen() for pose in poses]
-    away = transforms[0][:3, 2]
-    order = (0, 1) if (transforms[1][:3, 3] - transforms[0][:3, 3]) @ away > 0 else (1, 0)
+    order = nearer_first(poses)
     near, far = (_to_world(screen_mm[k], transforms[k]) for k in order)
     if cover_glass is not None:
         near, far = _through_glass(near, far, [transforms[k] for k in order], glass=cover_glass, n_medium=n_medium)
@@ -70,6 +71,12 @@ def light_paths(
         near_covariance=_in_plane_covariance(sd_mm[order[0]], transforms[order[0]]),
         far_covariance=_in_plane_covariance(sd_mm[order[1]], transforms[order[1]]),
     )
+
+
+def nearer_first(poses: tuple[Pose, Pose]) -> tuple[int, int]:
+    """Return the two positions, that of the display nearer to the camera first."""
+    first, second = (pose.world_from_screen() for pose in poses)
+    return (0, 1) if (second[:3, 3] - first[:3, 3]) @ first[:3, 2] > 0 else (1, 0)
 
 
 def _to_world(screen_mm: np.ndarray, world_from_screen: np.ndarray) -> np.ndarray:

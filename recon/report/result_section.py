@@ -5,6 +5,7 @@ from collections.abc import Mapping, Sequence
 from recon.metrics import Funnel, Metrics
 from recon.report.numbers import NOTHING, LengthUnit, number, share
 from recon.report.panel import Panel, Section, Table
+from recon.report.registration_panel import registration_panel
 
 STEPS = (
     ("pixels", "Pixels of the photo", "all of them"),
@@ -127,5 +128,10 @@ def result_section(
     return Section(
         "results",
         "Results in numbers",
-        (funnel_panel(metrics.funnel, thin=thin), statistics_panel(metrics, unit), evaluation_panel(evaluation, unit)),
+        (
+            funnel_panel(metrics.funnel, thin=thin),
+            statistics_panel(metrics, unit),
+            *(() if thin else (registration_panel(metrics, unit),)),
+            evaluation_panel(evaluation, unit),
+        ),
     )

@@ -4,9 +4,14 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from recon.calibration.calibration_file import read_calibration
+from recon.calibration.session_calibration import calibration_path
 from recon.maps import Maps
-from recon.metrics import Statistic
+from recon.metrics import RegistrationRecord, Statistic
 from recon.reconstruct import Crossing, cross_paths, maps_of
+from recon.registration.known_slips import known_slips
+from recon.registration.registration_stage import record_of, registration_of, with_carried
+from recon.registration.session_slips import Registration, registered
 from recon.running.settings import Settings
 from recon.sessions.manifest import Manifest
 from recon.sessions.photos import read_grey
@@ -28,6 +33,7 @@ class Outcome:
     gap_ratio: float | None
     statistics: tuple[Statistic, ...]
     warnings: tuple[str, ...]
+    registration: RegistrationRecord | None = None
 
 
 def read_mask(session: Session) -> np.ndarray | None:
@@ -46,21 +52,42 @@ def reconstruct(session: Session, sweeps: dict[tuple[str, str], SweepResult], se
     if manifest.method == "thin":
         thin = thin_object(sweeps, manifest, method=settings.method, inside_mask=mask)
         return Outcome(thin.maps, thin.mesh, None, _statistics(thin.maps, None), thin.warnings)
+    registration, manifest = _register(session, sweeps, settings, mask)
     status, crossing = cross_paths(sweeps, manifest, method=settings.method, limits=settings.limits, inside_mask=mask)
+    if registration is not None:
+        crossing = with_carried(crossing, registration, manifest)
     shape = (manifest.camera.rows, manifest.camera.columns)
     maps = maps_of(status, crossing, shape=shape, method=settings.method)
     surface = surface_of(maps, crossing, manifest, method=settings.method)
     ratio = None
     if settings.method == "full":
-        fine = crossing.status == PixelStatus.OK
-        ratio = gap_ratio(crossing.points.gap_mm[fine], crossing.points.gap_sd_mm[fine])
+        # Those that miss by too much count as well: left out, a session that is wrong would look sound.
+        crossed = np.isin(crossing.status, (PixelStatus.OK, PixelStatus.GAP_TOO_LARGE))
+        ratio = gap_ratio(crossing.points.gap_mm[crossed], crossing.points.gap_sd_mm[crossed])
+    told = registration.sentences(manifest.length_unit) if registration is not None else ()
     return Outcome(
         surface.maps,
         surface.mesh,
         ratio,
         _statistics(surface.maps, crossing),
-        (*_warnings(manifest), *surface.warnings),
+        (*told, *_warnings(manifest), *surface.warnings),
+        record_of(registration) if registration is not None else None,
     )
+
+
+def _register(
+    session: Session, sweeps: dict[tuple[str, str], SweepResult], settings: Settings, mask: np.ndarray | None
+) -> tuple[Registration | None, Manifest]:
+    """Measure how the display slipped, if that was asked for, and return the manifest with the poses to use."""
+    manifest = session.manifest
+    if settings.method != "full" or not settings.registration:
+        return None, manifest
+    path = calibration_path(session, settings.calibration)
+    known = known_slips(read_calibration(path)) if path is not None else None
+    registration = registration_of(sweeps, manifest, known=known, inside_mask=mask)
+    if registration is None:
+        return None, manifest
+    return registration, registered(manifest, registration.motions) if registration.applied else manifest
 
 
 def _statistics(maps: Maps, crossing: Crossing | None) -> tuple[Statistic, ...]:
@@ -73,7 +100,7 @@ def _statistics(maps: Maps, crossing: Crossing | None) -> tuple[Statistic, ...]:
             "sd",
             "mm",
             maps.sd_mm[valid],
-            how="root of the trace of each point's covariance, from the photos' own noise",
+            how="root of the trace of each point's covariance, from the photos' own noise and the registration",
         ),
         statistic(
             "PBC angle",
@@ -88,8 +115,15 @@ def _statistics(maps: Maps, crossing: Crossing | None) -> tuple[Statistic, ...]:
             statistic(
                 "normal sd",
                 "deg",
-                np.degrees(crossing.normal_sd_rad[fine]),
-                how="root of the summed variances of the normal's two tilts, from the photos' own noise",
+                np.degrees(np.sqrt(crossing.normal_sd_rad[fine] ** 2 + crossing.carried_rad2[fine])),
+                how="root of the summed variances of the normal's two tilts, from the photos' own noise and the registration",
+            )
+        )
+        with np.errstate(divide="ignore", invalid="ignore"):
+            normalised = np.abs(crossing.points.gap_mm[fine]) / crossing.points.gap_sd_mm[fine]
+        found.append(
+            statistic(
+                "normalised gap", "sd", normalised, how="gap over the sd that noise alone gives it; its rms is about 1"
             )
         )
     return tuple(one for one in found if one is not None)

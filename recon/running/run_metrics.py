@@ -64,6 +64,7 @@ def metrics_of(
         photos=photos,
         scene=scene.comparisons,
         scene_note=scene.note,
+        registration=outcome.registration,
     )
 
 

@@ -103,5 +103,5 @@ def _sd(
     along = np.einsum("pi,pij,pj->p", direction, shift, direction)
     across = (np.trace(shift, axis1=1, axis2=2) - along)[surface_pixel]
     variance = np.full(distance.size, np.nan)
-    variance[pixels] = across + fused.distance_sd_mm.ravel()[pixels] ** 2
+    variance[pixels] = across + fused.distance_sd_mm.ravel()[pixels] ** 2 + crossing.carried_mm2[surface_pixel]
     return np.sqrt(variance).astype(np.float32).reshape(shape)

@@ -1,0 +1,112 @@
+"""Registration as a stage of a run: from decoded sweeps to motions, and their uncertainty carried into points and normals."""
+
+from collections.abc import Mapping
+from dataclasses import replace
+
+import numpy as np
+
+from recon.geometry.entry_point import crossing_by_liquid
+from recon.geometry.light_paths import LightPaths
+from recon.metrics import DisplayMotion, RegistrationRecord
+from recon.reconstruct import Crossing, combined_status, correspondences
+from recon.registration.gap_fit import MotionCovariance
+from recon.registration.session_slips import (
+    MeasuredPlaces,
+    Registration,
+    motion_shifts,
+    register,
+    wet_poses,
+)
+from recon.sessions.manifest import Manifest
+from recon.status import PixelStatus
+from recon.sweeps.correspondence import SweepResult
+
+# Pixels whose derivatives are held at once: 36 numbers each.
+CHUNK_PIXELS = 100_000
+
+
+def registration_of(
+    sweeps: Mapping[tuple[str, str], SweepResult],
+    manifest: Manifest,
+    *,
+    known: MotionCovariance | None = None,
+    inside_mask: np.ndarray | None = None,
+) -> Registration | None:
+    """Measure from decoded sweeps how the display slipped between air and liquid.
+
+    Pixels beside the object take part: where they look through the liquid's flat surface their two paths meet there.
+    """
+    by_name = {one.name: correspondences(sweeps, one, manifest) for one in manifest.sets}
+    matched = combined_status(list(by_name.values())) == PixelStatus.OK
+    if inside_mask is not None:
+        matched &= inside_mask.ravel()
+    pixels = np.flatnonzero(matched)
+    places = MeasuredPlaces(
+        pixels,
+        {name: one.screen_mm[pixels] for name, one in by_name.items()},
+        {name: one.sd_mm[pixels] for name, one in by_name.items()},
+    )
+    return register(places, manifest, known=known)
+
+
+def with_carried(crossing: Crossing, registration: Registration, manifest: Manifest) -> Crossing:
+    """Return the crossings with the uncertainty of the registration in the variances that all pixels share.
+
+    ``manifest`` has the poses in which the paths were crossed.
+    """
+    liquid_body = manifest.liquid
+    assert liquid_body is not None, "the manifest's own check grants a liquid to this method"
+    if not registration.covariance.any():
+        return crossing
+    carried_mm2, carried_rad2 = np.empty(len(crossing.pixels)), np.empty(len(crossing.pixels))
+    poses = wet_poses(manifest)
+    for start in range(0, len(crossing.pixels), CHUNK_PIXELS):
+        part = slice(start, start + CHUNK_PIXELS)
+        liquid, air = cut(crossing.liquid, part), cut(crossing.air, part)
+        points = type(crossing.points)(
+            **{name: getattr(crossing.points, name)[part] for name in crossing.points.__slots__}
+        )
+        near, far = motion_shifts(liquid, poses)
+        lever = (points.distance_liquid_mm / liquid.baseline_mm)[:, None, None]
+        point = crossing_by_liquid(liquid, air, points) @ ((1 + lever) * near - lever * far)
+        turn = (near - far) / liquid.baseline_mm[:, None, None]
+        turn = turn - liquid.direction[:, :, None] * np.einsum("pi,pim->pm", liquid.direction, turn)[:, None]
+        along = liquid_body.n * liquid.direction - manifest.n_air * air.direction
+        normal = crossing.normal[part]
+        tilt = liquid_body.n * (turn - normal[:, :, None] * np.einsum("pi,pim->pm", normal, turn)[:, None])
+        tilt = tilt / np.linalg.norm(along, axis=1)[:, None, None]
+        for derivative, out in ((point, carried_mm2), (tilt, carried_rad2)):
+            out[part] = np.einsum("pim,mn,pin->p", derivative, registration.covariance, derivative, optimize=True)
+    return replace(crossing, carried_mm2=carried_mm2, carried_rad2=carried_rad2)
+
+
+def record_of(registration: Registration) -> RegistrationRecord:
+    """Return what ``metrics.json`` tells of a registration: the motions measured, whether they were taken over or not."""
+    fit = registration.fit
+    sd = np.sqrt(np.diag(fit.covariance))
+    motions = [
+        DisplayMotion(
+            position=position,  # type: ignore[arg-type]  # 0 or 1
+            x_mm=fit.motions[first],
+            x_sd_mm=sd[first],
+            y_mm=fit.motions[first + 1],
+            y_sd_mm=sd[first + 1],
+            turn_deg=np.degrees(fit.motions[first + 2]),
+            turn_sd_deg=np.degrees(sd[first + 2]),
+        )
+        for position, first in ((0, 0), (1, 3))
+    ]
+    return RegistrationRecord(
+        applied=registration.applied,
+        sigma=registration.sigma,
+        conflict_sigma=registration.conflict_sigma,
+        directions=fit.directions.shape[1],
+        gap_before=fit.gap_before,
+        gap_after=fit.gap_after,
+        motions=(motions[0], motions[1]),
+    )
+
+
+def cut(paths: LightPaths, part: slice) -> LightPaths:
+    """Return some of the paths."""
+    return LightPaths(**{name: getattr(paths, name)[part] for name in LightPaths.__slots__})
