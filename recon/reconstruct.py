@@ -85,7 +85,7 @@ def combined_status(sets: list[Correspondences]) -> UInt8[np.ndarray, " pixels"]
     every = np.concatenate([one.status for one in sets], axis=1)
     unlit = every == PixelStatus.UNLIT
     status = np.full(len(every), PixelStatus.OK, dtype=np.uint8)
-    for reason in (PixelStatus.BAD_FIT, PixelStatus.SWEEP_EDGE):
+    for reason in (PixelStatus.BAD_CODE, PixelStatus.BAD_FIT, PixelStatus.SWEEP_EDGE):
         status[(every == reason).any(axis=1)] = reason
     status[unlit.any(axis=1)] = PixelStatus.PARTLY_LIT
     status[unlit.all(axis=1)] = PixelStatus.UNLIT

@@ -19,6 +19,7 @@ class PixelStatus(IntEnum):
     GAP_TOO_LARGE = 7
     OUTSIDE_DEPTH = 8
     BESIDE_OBJECT = 9
+    BAD_CODE = 10
 
 
 REASONS: dict[PixelStatus, str] = {
@@ -32,6 +33,7 @@ REASONS: dict[PixelStatus, str] = {
     PixelStatus.GAP_TOO_LARGE: "the two light paths miss each other",
     PixelStatus.OUTSIDE_DEPTH: "the point is not between display and camera",
     PixelStatus.BESIDE_OBJECT: "looks past the object at the liquid's own flat surface",
+    PixelStatus.BAD_CODE: "its coarse photos leave in doubt which period of the fine ones it sees",
 }
 
 StatusMap = npt.NDArray[np.uint8]

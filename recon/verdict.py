@@ -75,6 +75,7 @@ def verdict(
 def _losses(maps: Maps, funnel: Funnel, *, share: float) -> tuple[str, ...]:
     reasons = []
     for status in (
+        PixelStatus.BAD_CODE,
         PixelStatus.BAD_FIT,
         PixelStatus.SWEEP_EDGE,
         PixelStatus.PARALLEL_PATHS,

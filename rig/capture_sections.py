@@ -20,6 +20,22 @@ class Scan(Part):
     seen_px: tuple[PhotoPixel, PhotoPixel, PhotoPixel, PhotoPixel] | None = None
 
 
+class GrayLineCode(Part):
+    """Lines a period apart instead of one stripe, with profile, width and step of it, and a Gray code of half periods."""
+
+    kind: Literal["gray_line"]
+    period_px: Positive = 16.0
+
+
+class PhaseShiftCode(Part):
+    """Cosine fringes instead of a stripe: ``frequencies`` periods in equal ratios, each in ``steps`` phases."""
+
+    kind: Literal["phase_shift"]
+    finest_period_px: Positive = 16.0
+    frequencies: Annotated[int, Field(ge=1, le=8)] = 3
+    steps: Annotated[int, Field(ge=3, le=64)] = 8
+
+
 class AutoExposure(Part):
     """The camera's exposure time is chosen before the first set, from what the body offers for ``setting``.
 

@@ -72,6 +72,7 @@ def capture(
     scan: options.ScanOption = False,
     live: options.LiveOption = False,
     auto_exposure: options.AutoExposureOption = False,
+    code: options.CodeOption = None,
     watch: options.WatchOption = False,
     state: options.StateOption = None,
     real_time: options.RealTimeOption = False,
@@ -94,7 +95,7 @@ def capture(
         raise ConfigError("--sim and --sim-wire are two ways to rehearse; leave out one of them")
     sim = sim or sim_wire
     changes = SceneOptions(
-        profile, width_px, step_px, order, size, display_columns, seed, scan, live, watch, auto_exposure
+        profile, width_px, step_px, order, size, display_columns, seed, scan, live, watch, auto_exposure, code
     )
     if resume:
         if config is not None or scene is not None or changes != SceneOptions():
@@ -139,13 +140,14 @@ def simulate(
     size: options.SizeOption = None,
     display_columns: options.DisplayOption = None,
     seed: options.SeedOption = None,
+    code: options.CodeOption = None,
     workers: Annotated[int, typer.Option("--workers", min=1, help="Threads that compute photos.")] = 2,
 ) -> None:
     """Write a simulated session with its truth.
 
     The photos are those of `rig capture --sim`, computed without going through devices.
     """
-    changes = SceneOptions(profile, width_px, step_px, order, size, display_columns, seed)
+    changes = SceneOptions(profile, width_px, step_px, order, size, display_columns, seed, code=code)
     opened = open_scene(scene, changes)
     count = simulate_session(opened, config_of_scene(opened, changes), folder, workers=workers, console=console)
     console.print(f"{folder}: {count} photos and their truth", markup=False)
@@ -165,13 +167,14 @@ def plan(
     size: options.SizeOption = None,
     display_columns: options.DisplayOption = None,
     scan: options.ScanOption = False,
+    code: options.CodeOption = None,
     watch: options.WatchOption = False,
 ) -> None:
     """Say what a capture will do and cost.
 
     Every move, fill and sweep in order, then photos, time, liquid and disk space together.
     """
-    changes = SceneOptions(profile, width_px, step_px, order, size, display_columns, scan=scan, watch=watch)
+    changes = SceneOptions(profile, width_px, step_px, order, size, display_columns, scan=scan, watch=watch, code=code)
     rig = choose_rig(sim or scene is not None, config, scene, changes)
     print_plan(plan_capture(rig.config), rig.config, console)
 

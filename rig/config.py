@@ -15,6 +15,7 @@ from pydantic import Field, ValidationError, model_validator
 
 from recon.patterns.coarse_scan import scan_bits
 from recon.patterns.frame_tag import TagPlace
+from recon.patterns.phase_shift import periods_for
 from recon.sessions.manifest import (
     Axis,
     CameraBody,
@@ -26,9 +27,9 @@ from recon.sessions.manifest import (
     Pose,
     Positive,
     ScannedObject,
-    StripePattern,
 )
-from rig.capture_sections import AutoExposure, Live, Scan, Watch
+from recon.sessions.pattern import GrayLinePattern, Pattern, PhaseShiftPattern, StripePattern
+from rig.capture_sections import AutoExposure, GrayLineCode, Live, PhaseShiftCode, Scan, Watch
 from rig.errors import ConfigError
 
 NotNegative = Annotated[float, Field(ge=0, allow_inf_nan=False)]
@@ -77,6 +78,7 @@ class Capture(Part):
 
     order: Literal["one_fill", "paper"] = "one_fill"
     stripe: Stripe
+    code: Annotated[GrayLineCode | PhaseShiftCode, Field(discriminator="kind")] | None = None
     swept: SweptArea
     scan: Scan | None = None
     auto_exposure: AutoExposure | None = None
@@ -235,6 +237,10 @@ class RigConfig(Part):
     def _sweep_stays_on_the_panel(self) -> Self:
         for axis in ("x", "y"):
             self.pattern(axis)
+        if self.capture.code is not None and self.capture.scan is not None:
+            raise ValueError(
+                "section [capture.scan] saves photos of a sweep; a code has few: leave out [capture.scan] or [capture.code]"
+            )
         return self
 
     @model_validator(mode="after")
@@ -284,10 +290,20 @@ class RigConfig(Part):
 
     def scan_bits(self, axis: Axis) -> int:
         """Return how many photos the scan along ``axis`` takes in each set; 0 without a scan."""
-        return scan_bits(self.pattern(axis)) if self.capture.scan else 0
+        return scan_bits(self.stripe_pattern(axis)) if self.capture.scan else 0
 
-    def pattern(self, axis: Axis) -> StripePattern:
-        """Return the stripe pattern of the sweep along ``axis``; the last place may fall short by less than a step."""
+    def pattern(self, axis: Axis) -> Pattern:
+        """Return what the display shows in the sweep along ``axis``."""
+        try:
+            return coded_pattern(self.stripe_pattern(axis), self.capture.code)
+        except ValidationError as error:
+            reason = error.errors()[0]["msg"].removeprefix("Value error, ")
+            raise ValueError(
+                f"the code of section [capture.code] does not go with [capture.stripe]: {reason}"
+            ) from None
+
+    def stripe_pattern(self, axis: Axis) -> StripePattern:
+        """Return the stripe swept along ``axis`` without a code; the last place may fall short by less than a step."""
         stripe, swept = self.capture.stripe, self.capture.swept
         noun = "column" if axis == "x" else "row"
         first_px = swept.first_column_px if axis == "x" else swept.first_row_px
@@ -304,6 +320,31 @@ class RigConfig(Part):
         return StripePattern(
             profile=stripe.profile, width_px=stripe.width_px, first_px=first_px, step_px=stripe.step_px, count=count
         )
+
+
+def coded_pattern(sweep: StripePattern, code: GrayLineCode | PhaseShiftCode | None) -> Pattern:
+    """Return what is shown instead of a sweep over the same places; the sweep itself without a code."""
+    if code is None:
+        return sweep
+    if isinstance(code, GrayLineCode):
+        return GrayLinePattern(
+            kind="gray_line",
+            profile=sweep.profile,
+            width_px=sweep.width_px,
+            first_px=sweep.first_px,
+            step_px=sweep.step_px,
+            period_px=code.period_px,
+            places=sweep.count,
+        )
+    last_px = sweep.first_px + sweep.step_px * (sweep.count - 1)
+    area_px = last_px - sweep.first_px + 1
+    return PhaseShiftPattern(
+        kind="phase_shift",
+        periods_px=periods_for(area_px, finest_px=code.finest_period_px, frequencies=code.frequencies),
+        steps=code.steps,
+        first_px=sweep.first_px,
+        last_px=last_px,
+    )
 
 
 def longest_run_s(volume_ml: float, tank: Tank) -> float:

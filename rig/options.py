@@ -67,6 +67,13 @@ LiveOption = Annotated[
         "--live", help="Decode each sweep while the next is photographed, and take a bad one again while it can be."
     ),
 ]
+CodeOption = Annotated[
+    Literal["gray_line", "phase_shift"] | None,
+    typer.Option(
+        "--code",
+        help="Fewer photos than a sweep. gray_line: shifted lines and a Gray code. phase_shift: cosine fringes.",
+    ),
+]
 AutoExposureOption = Annotated[
     bool, typer.Option("--auto-exposure", help="Choose the camera's exposure time before the first set.")
 ]

@@ -13,11 +13,14 @@ from recon.sessions.manifest import Axis, DisplayPanel, StripePattern
 
 @dataclass(frozen=True, slots=True, eq=False)
 class PatternFrame:
-    """One frame of a sweep: ``levels`` is one uint8 drive level a device pixel along ``axis``."""
+    """One frame of a sweep: ``levels`` is one uint8 drive level a device pixel along ``axis``, ``place_px`` the stripe's centre.
+
+    A frame that shows more than one stripe has no place.
+    """
 
     axis: Axis
     index: int
-    place_px: float
+    place_px: float | None
     levels: UInt8[np.ndarray, " device_px"]
 
 

@@ -4,7 +4,8 @@ from collections.abc import Mapping
 
 from recon.errors import SessionError
 from recon.sessions.journal import SweepRange
-from recon.sessions.manifest import Manifest, StripePattern, Sweep
+from recon.sessions.manifest import Manifest, Sweep
+from recon.sessions.pattern import Pattern, StripePattern
 
 FEWEST_STRIPES = 3  # what a pattern holds at least
 
@@ -28,7 +29,12 @@ def narrowed(manifest: Manifest, ranges: Mapping[tuple[str, str], SweepRange], *
     return manifest.model_copy(update={"sets": sets})
 
 
-def _part_of(pattern: StripePattern, found: SweepRange, *, source: str) -> StripePattern:
+def _part_of(pattern: Pattern, found: SweepRange, *, source: str) -> StripePattern:
+    if not isinstance(pattern, StripePattern):
+        raise SessionError(
+            f"{source}: sweep_range of {found.set}/{found.axis} narrows a sweep of kind {pattern.kind!r}, which is always "
+            "whole; remove the line"
+        )
     count = found.last_index - found.first_index + 1
     if count < FEWEST_STRIPES or found.last_index >= pattern.count:
         raise SessionError(

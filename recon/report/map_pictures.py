@@ -39,6 +39,7 @@ STATUS_COLOURS: dict[PixelStatus, str] = {
     PixelStatus.GAP_TOO_LARGE: "#ef8fc4",
     PixelStatus.OUTSIDE_DEPTH: "#2667c9",
     PixelStatus.BESIDE_OBJECT: "#8ecae6",
+    PixelStatus.BAD_CODE: "#7f4f24",
 }
 
 

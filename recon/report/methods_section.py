@@ -4,6 +4,7 @@ from recon.metrics import Metrics
 from recon.report.numbers import LengthUnit, number
 from recon.report.panel import Panel, Section
 from recon.sessions.manifest import Manifest
+from recon.sessions.pattern import GrayLinePattern, Pattern, StripePattern
 
 CITATION = (
     "K. Han, K.-Y. K. Wong, M. Liu: Dense Reconstruction of Transparent Objects by Altering Incident Light Paths "
@@ -19,11 +20,24 @@ BIBTEX = """@article{han2018dense,
 }"""
 
 
+def _shown(pattern: Pattern) -> str:
+    """Return what the display showed in a sweep, in the words of a methods section."""
+    if isinstance(pattern, StripePattern):
+        return f"a bright stripe with a {pattern.profile.replace('_', '-')} profile that swept it"
+    if isinstance(pattern, GrayLinePattern):
+        return (
+            f"lines with a {pattern.profile.replace('_', '-')} profile, {number(float(pattern.period_px))} pixels apart and "
+            f"shifted in {pattern.steps} steps, and a Gray code of {pattern.bits} bits with its inverse"
+        )
+    periods = ", ".join(number(float(period), 4) for period in pattern.periods_px)
+    return f"cosine fringes with periods of {periods} pixels in {pattern.steps} phases"
+
+
 def methods_text(manifest: Manifest, metrics: Metrics, unit: LengthUnit) -> str:
     """Return what was done, in sentences that state only what the session and the run say."""
     display = manifest.display
     photos = sum(sweep.pattern.count for each in manifest.sets for sweep in each.sweeps)
-    profiles = " and ".join(sorted({s.pattern.profile.replace("_", "-") for e in manifest.sets for s in e.sweeps}))
+    shown = " and ".join(sorted({_shown(sweep.pattern) for each in manifest.sets for sweep in each.sweeps}))
     first, second = manifest.display_poses
     apart = sum((a - b) ** 2 for a, b in zip(first.centre_mm, second.centre_mm, strict=True)) ** 0.5
     kinds = {device.kind for device in manifest.provenance.devices.values()}
@@ -31,7 +45,7 @@ def methods_text(manifest: Manifest, metrics: Metrics, unit: LengthUnit) -> str:
     sentences = [
         f"The object ({manifest.object.name}) {verb} in front of a display of {display.columns} × {display.rows} "
         f"pixels ({number(display.pitch_mm, 4)} {unit.label} pitch) at two positions {number(apart)} {unit.label} apart.",
-        f"In each of four sets a bright stripe with a {profiles} profile swept the display along x and along y, "
+        f"In each of four sets the display showed {shown} along x and along y, "
         f"{number(photos)} photos of {manifest.camera.columns} × {manifest.camera.rows} pixels in all.",
     ]
     if manifest.method == "liquid" and manifest.liquid:

@@ -10,6 +10,7 @@ from recon.report.numbers import LengthUnit, number
 from recon.report.panel import Panel, Section, Table
 from recon.report.point_scene import SEED, box_of
 from recon.sessions.manifest import Manifest, Pose
+from recon.sessions.pattern import GrayLinePattern, Pattern, PhaseShiftPattern
 
 DRAWING_WIDTH = 720
 AXIS_HEIGHT = 46
@@ -99,24 +100,30 @@ def _lens(manifest: Manifest) -> str:
 def patterns_panel(manifest: Manifest) -> Panel:
     """Return what was shown in each sweep."""
     rows = tuple(
-        (
-            f"{each.name}, {sweep.axis}",
-            sweep.pattern.profile.replace("_", " "),
-            number(float(sweep.pattern.width_px)),
-            number(float(sweep.pattern.first_px), 5),
-            number(float(sweep.pattern.step_px)),
-            number(sweep.pattern.count),
-        )
+        (f"{each.name}, {sweep.axis}", *_shown(sweep.pattern), number(sweep.pattern.count))
         for each in manifest.sets
         for sweep in each.sweeps
     )
-    headings = ("Sweep", "Profile", "Width (px)", "First place (px)", "Step (px)", "Photos")
+    headings = ("Sweep", "Shown", "Width (px)", "First place (px)", "Step (px)", "Period (px)", "Photos")
     return Panel(
         "patterns",
-        "Stripes shown",
+        "Patterns shown",
         "table.html.j2",
-        {"table": Table(headings, rows, (2, 3, 4, 5), "Places and widths in device pixels of the display")},
+        {"table": Table(headings, rows, (2, 3, 4, 5, 6), "Places and widths in device pixels of the display")},
     )
+
+
+def _shown(pattern: Pattern) -> tuple[str, str, str, str, str]:
+    """Return what a sweep shows, and its width, first place, step and period."""
+    first = number(float(pattern.first_px), 5)
+    if isinstance(pattern, PhaseShiftPattern):
+        periods = ", ".join(number(float(period), 4) for period in pattern.periods_px)
+        return f"fringes in {pattern.steps} phases", "—", first, "—", periods
+    profile = pattern.profile.replace("_", " ")
+    width, step = number(float(pattern.width_px)), number(float(pattern.step_px))
+    if isinstance(pattern, GrayLinePattern):
+        return f"lines, {profile}, and {pattern.bits} bits", width, first, step, number(float(pattern.period_px))
+    return f"stripe, {profile}", width, first, step, "—"
 
 
 def drawing_panel(manifest: Manifest, maps: Maps, unit: LengthUnit) -> Panel:

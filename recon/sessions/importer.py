@@ -17,6 +17,7 @@ from typing import Annotated, Any
 from pydantic import BaseModel, ConfigDict, Field, ValidationError
 
 from recon.errors import SessionError
+from recon.patterns.pattern_frames import place_of_photo
 from recon.sessions.journal import now_text
 from recon.sessions.manifest import CaptureSet, Manifest
 from recon.sessions.session import SessionWriter, check_inside, photo_path
@@ -122,8 +123,7 @@ def _wanted_of_set(capture_set: CaptureSet, names: PhotoNames) -> Iterator[_Want
     for sweep in capture_set.sweeps:
         for index in range(sweep.pattern.count):
             filled = _fill(names.stripe, {**words, "axis": sweep.axis, "number": names.first_number + index})
-            place_px = sweep.pattern.first_px + sweep.pattern.step_px * index
-            yield _Wanted(filled, capture_set.name, sweep.axis, index, place_px)
+            yield _Wanted(filled, capture_set.name, sweep.axis, index, place_of_photo(sweep.pattern, index))
 
 
 def _fill(name: str, words: dict[str, Any]) -> str:

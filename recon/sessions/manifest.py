@@ -8,12 +8,19 @@ display poses (right-handed).
 from typing import Annotated, Literal
 
 import numpy as np
-from pydantic import BaseModel, ConfigDict, Field, model_validator
+from pydantic import Field, model_validator
+
+# Those named twice are part of a manifest's vocabulary, and other modules take them from here.
+from recon.sessions.pattern import Finite as Finite
+from recon.sessions.pattern import GrayLinePattern as GrayLinePattern
+from recon.sessions.pattern import Part as Part
+from recon.sessions.pattern import Pattern as Pattern
+from recon.sessions.pattern import PhaseShiftPattern as PhaseShiftPattern
+from recon.sessions.pattern import Positive as Positive
+from recon.sessions.pattern import StripePattern as StripePattern
 
 SCHEMA_VERSION = 1
 
-Finite = Annotated[float, Field(allow_inf_nan=False)]
-Positive = Annotated[float, Field(gt=0, allow_inf_nan=False)]
 Index = Annotated[float, Field(ge=1.0, le=4.0, allow_inf_nan=False)]
 Vector = tuple[Finite, Finite, Finite]
 Axis = Literal["x", "y"]
@@ -21,12 +28,6 @@ Condition = Literal["air", "liquid", "with", "without"]
 
 # Unit vectors written by hand carry three or four digits.
 AXIS_TOLERANCE = 1e-3
-
-
-class Part(BaseModel):
-    """Common behaviour of every part: unchangeable, and no field that we do not know."""
-
-    model_config = ConfigDict(frozen=True, extra="forbid")
 
 
 class Pose(Part):
@@ -115,30 +116,14 @@ class CameraBody(Part):
     model: str = ""
     pose: Pose | None = None
     intrinsics: Intrinsics | None = None
-    settings: dict[str, str] = {}
-
-
-class StripePattern(Part):
-    """A bright stripe on black that is moved step by step along one axis of the display.
-
-    ``hard``: ``width_px`` device pixels fully lit, sharp edges. ``raised_cosine``: ½(1 + cos 2πd/width_px) for
-    |d| < width_px/2.
-    Stripe number k is centred at ``first_px + k * step_px`` (device pixels; pixel 0's centre is 0).
-    """
-
-    kind: Literal["stripe"] = "stripe"
-    profile: Literal["hard", "raised_cosine"]
-    width_px: Positive
-    first_px: Finite
-    step_px: Positive
-    count: Annotated[int, Field(ge=3)]
+    settings: dict[str, str] = Field(default_factory=dict)
 
 
 class Sweep(Part):
-    """One pattern moved along one axis; its photos are ``photos/<set>/<axis>/NNNN.<suffix>``."""
+    """One pattern shown along one axis; its photos are ``photos/<set>/<axis>/NNNN.<suffix>``."""
 
     axis: Axis
-    pattern: StripePattern
+    pattern: Pattern
 
 
 class CaptureSet(Part):
@@ -180,9 +165,9 @@ class DeviceRecord(Part):
 class Provenance(Part):
     """Where the session comes from: software versions, devices, configuration, and a word of explanation."""
 
-    software: dict[str, str] = {}
-    devices: dict[str, DeviceRecord] = {}
-    configuration: dict[str, object] = {}
+    software: dict[str, str] = Field(default_factory=dict)
+    devices: dict[str, DeviceRecord] = Field(default_factory=dict)
+    configuration: dict[str, object] = Field(default_factory=dict)
     note: str = ""
 
 

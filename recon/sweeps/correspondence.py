@@ -54,6 +54,7 @@ def decode_sweep(
 ) -> SweepResult:
     """Stream the photos of one sweep, one at a time, and return every pixel's stripe place."""
     pattern = capture_set.sweep(axis).pattern
+    assert isinstance(pattern, StripePattern)
     black, dark = _black_level(session, capture_set, axis)
     rise = max(PEAK_SIGMA * np.sqrt(dark), LEAST_PEAK_COUNTS)
     floor = np.minimum(black + rise, np.iinfo(black.dtype).max).astype(black.dtype)
@@ -62,8 +63,8 @@ def decode_sweep(
     )
     clipped = saturation_count(black)
     if method == "paper":
-        return _by_parabola(windows, pattern, black=black, dark=dark, photos=photos)
-    return _by_likelihood(
+        return place_by_parabola(windows, pattern, black=black, dark=dark, photos=photos)
+    return place_by_likelihood(
         windows,
         pattern,
         black=black,
@@ -146,7 +147,7 @@ def _status(windows: PeakWindows, shape: tuple[int, int]) -> np.ndarray:
     return status.reshape(shape)
 
 
-def _by_parabola(
+def place_by_parabola(
     windows: PeakWindows,
     pattern: StripePattern,
     *,
@@ -154,6 +155,7 @@ def _by_parabola(
     dark: float,
     photos: tuple[PhotoQuality, ...],
 ) -> SweepResult:
+    """Return the vertex of the parabola through each pixel's three brightest samples, as the paper does."""
     status = _status(windows, black.shape)
     middle = windows.half_width
     before, centre, after = (windows.samples[:, middle + k].astype(np.float64) for k in (-1, 0, 1))
@@ -170,7 +172,7 @@ def _by_parabola(
     )
 
 
-def _by_likelihood(
+def place_by_likelihood(
     windows: PeakWindows,
     pattern: StripePattern,
     *,
@@ -180,6 +182,7 @@ def _by_likelihood(
     photos: tuple[PhotoQuality, ...],
     continuous: bool,
 ) -> SweepResult:
+    """Return the most likely place of the stripe in each pixel's window, with its standard deviation."""
     status = _status(windows, black.shape).ravel()
     pixels = np.flatnonzero(status == PixelStatus.OK)
     brightest_px = pattern.first_px + pattern.step_px * windows.peak_index[pixels].astype(np.float64)

@@ -22,7 +22,8 @@ from recon.metrics import PhotoQuality, SampleCurve
 from recon.sessions.disk import Disk, make_folders, write_whole
 from recon.sessions.manifest import Axis, CaptureSet
 from recon.sessions.session import Session
-from recon.sweeps.correspondence import Method, SweepResult, decode_sweep
+from recon.sweeps.correspondence import Method, SweepResult
+from recon.sweeps.decode_pattern import decode_pattern
 from recon.sweeps.noise import NoiseModel
 
 STORE_NAME = "correspondence"
@@ -129,7 +130,7 @@ def stored_or_decoded(
     """Return the result of a sweep: the kept one where it is valid, else decoded from its photos."""
     found = load_stored(session, capture_set, axis, method=method)
     if found is None:
-        return decode_sweep(session, capture_set, axis, method=method, on_photo=on_photo)
+        return decode_pattern(session, capture_set, axis, method=method, on_photo=on_photo)
     for _ in session.photo_numbers(capture_set, axis):
         on_photo()
     return found

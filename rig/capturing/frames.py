@@ -7,8 +7,8 @@ import numpy as np
 from drivers.protocols import Frame, Patch
 from recon.patterns.coarse_scan import scan_levels, scan_name
 from recon.patterns.frame_tag import LARGEST_NUMBER, tag_levels
+from recon.patterns.pattern_frames import pattern_frame
 from recon.patterns.reference_frame import reference_levels
-from recon.patterns.sweep_frames import stripe_frame
 from recon.scene.scene_check import REFERENCE, reduction
 from recon.scene.scene_error import photo_scale_mm
 from recon.sessions.manifest import Axis
@@ -23,21 +23,21 @@ FINEST_PHOTO_PX = 8.0
 
 
 def frame_of(photo: TakePhoto, config: RigConfig) -> Frame:
-    """Return the frame of ``photo``: one stripe of its sweep, or the whole display lit or dark, with its tag if any."""
+    """Return the frame of ``photo``: one of its sweep, or the whole display lit or dark, with its tag if any."""
     patches = tag_patches(photo.frame_id, config)
     level = LEVELS.get(photo.sweep)
     if level is not None:
         return Frame(axis="x", levels=np.full(config.display.columns, level, dtype=np.uint8), patches=patches)
     scanned: Axis | None = SCANNED.get(photo.sweep)
     if scanned is not None:
-        bits = scan_levels(config.pattern(scanned), photo.index, device_px=config.device_px(scanned))
+        bits = scan_levels(config.stripe_pattern(scanned), photo.index, device_px=config.device_px(scanned))
         return Frame(axis=scanned, levels=bits, patches=patches)
     if photo.sweep == REFERENCE:
         size = (config.display.columns, config.display.rows)
         return Frame(image=_reference_image(*size, reference_finest_px(config)), patches=patches)
     axis: Axis = "x" if photo.sweep == "x" else "y"
-    pattern_frame = stripe_frame(config.pattern(axis), axis, photo.index, device_px=config.device_px(axis))
-    return Frame(axis=axis, levels=pattern_frame.levels, patches=patches)
+    shown = pattern_frame(config.pattern(axis), axis, photo.index, device_px=config.device_px(axis))
+    return Frame(axis=axis, levels=shown.levels, patches=patches)
 
 
 def reference_finest_px(config: RigConfig) -> float:

@@ -9,7 +9,7 @@ from collections.abc import Collection, Iterator, Mapping
 from dataclasses import dataclass
 
 from recon.patterns.coarse_scan import scan_name
-from recon.patterns.sweep_frames import places_px
+from recon.patterns.pattern_frames import place_of_photo
 from recon.scene.scene_check import REFERENCE
 from recon.sessions.journal import SweepRange
 from recon.sessions.manifest import Axis
@@ -68,7 +68,8 @@ def all_photos(config: RigConfig, ranges: Mapping[tuple[str, str], SweepRange] |
         for axis in AXES:
             listed += [(name, scan_name(axis), bit, None) for bit in range(config.scan_bits(axis))]
         for axis in AXES:
-            listed += [(name, axis, k, float(px)) for k, px in enumerate(places_px(config.pattern(axis)))]
+            pattern = config.pattern(axis)
+            listed += [(name, axis, k, place_of_photo(pattern, k)) for k in range(pattern.count)]
     photos = (TakePhoto(*photo, frame_id=frame_id) for frame_id, photo in enumerate(listed))
     return tuple(photo for photo in photos if _is_seen(photo, ranges or {}))
 

@@ -73,7 +73,7 @@ class StartSweep:
 
 @dataclass(frozen=True, slots=True)
 class TakePhoto:
-    """Show one frame and photograph it. ``place_px`` is the stripe's centre; None for the white and black photo."""
+    """Show one frame and photograph it. ``place_px`` is the stripe's centre; None where it shows no single stripe."""
 
     set_name: str
     sweep: str

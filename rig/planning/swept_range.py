@@ -25,7 +25,7 @@ def find_swept_range(set_name: str, writer: SessionWriter, config: RigConfig, kn
         if scan is None or not config.scan_bits(axis) or (set_name, axis) in known.ranges:
             continue
         try:
-            found = read_scan(session, capture_set, axis, pattern=config.pattern(axis), region=scan.seen_px)
+            found = read_scan(session, capture_set, axis, pattern=config.stripe_pattern(axis), region=scan.seen_px)
         except ReconError as error:
             raise CaptureError(f"scan of {set_name} along {axis}: {error}") from error
         if found is None:

@@ -30,6 +30,8 @@ STAGE_VELOCITY_MM_PER_S = 5.0
 STAGE_MARGIN_MM = 10.0
 PUMP_RATE_ML_PER_MIN = 1200.0
 RESERVOIR_SURPLUS = 1.05
+# The line of a Gray code with line shift whose period is 16 device pixels.
+STRIPE_OF_CODE = {"width_px": 4.0, "step_px": 1.0}
 TIMING = {
     "photo_s": 2.0,
     "settle_s": 0.1,
@@ -57,6 +59,7 @@ class SceneOptions:
     live: bool = False
     watch: bool = False
     auto_exposure: bool = False
+    code: Literal["gray_line", "phase_shift"] | None = None
 
 
 def open_scene(name_or_path: str, options: SceneOptions) -> Scene:
@@ -78,7 +81,7 @@ def open_scene(name_or_path: str, options: SceneOptions) -> Scene:
 
 def config_of_scene(scene: Scene, options: SceneOptions) -> RigConfig:
     """Return the configuration of the simulated rig in front of ``scene``; its sweeps cover the whole display."""
-    stripe = scene.stripe
+    stripe = scene.stripe if options.code is None else scene.stripe.model_copy(update=STRIPE_OF_CODE)
     low_mm, high_mm = min(scene.stage_positions_mm), max(scene.stage_positions_mm)
     pixels = scene.camera.columns * scene.camera.rows
     return parse_config(
@@ -105,6 +108,7 @@ def config_of_scene(scene: Scene, options: SceneOptions) -> RigConfig:
                     "first_row_px": 0,
                     "last_row_px": scene.display.rows - 1,
                 },
+                "code": {"kind": options.code} if options.code else None,
                 "scan": {} if options.scan else None,
                 "auto_exposure": {"setting": "shutter"} if options.auto_exposure else None,
             },
