@@ -15,7 +15,6 @@ from pydantic import Field, ValidationError, model_validator
 
 from recon.patterns.coarse_scan import scan_bits
 from recon.patterns.frame_tag import TagPlace
-from recon.patterns.phase_shift import periods_for
 from recon.sessions.manifest import (
     Axis,
     CameraBody,
@@ -28,9 +27,10 @@ from recon.sessions.manifest import (
     Positive,
     ScannedObject,
 )
-from recon.sessions.pattern import GrayLinePattern, Pattern, PhaseShiftPattern, StripePattern
+from recon.sessions.pattern import Pattern, StripePattern
 from rig.capture_sections import AutoExposure, GrayLineCode, Live, PhaseShiftCode, Scan, Watch
 from rig.errors import ConfigError
+from rig.planning.coded_pattern import coded_pattern
 
 NotNegative = Annotated[float, Field(ge=0, allow_inf_nan=False)]
 DEFAULT_FILE = Path("rig.toml")
@@ -320,31 +320,6 @@ class RigConfig(Part):
         return StripePattern(
             profile=stripe.profile, width_px=stripe.width_px, first_px=first_px, step_px=stripe.step_px, count=count
         )
-
-
-def coded_pattern(sweep: StripePattern, code: GrayLineCode | PhaseShiftCode | None) -> Pattern:
-    """Return what is shown instead of a sweep over the same places; the sweep itself without a code."""
-    if code is None:
-        return sweep
-    if isinstance(code, GrayLineCode):
-        return GrayLinePattern(
-            kind="gray_line",
-            profile=sweep.profile,
-            width_px=sweep.width_px,
-            first_px=sweep.first_px,
-            step_px=sweep.step_px,
-            period_px=code.period_px,
-            places=sweep.count,
-        )
-    last_px = sweep.first_px + sweep.step_px * (sweep.count - 1)
-    area_px = last_px - sweep.first_px + 1
-    return PhaseShiftPattern(
-        kind="phase_shift",
-        periods_px=periods_for(area_px, finest_px=code.finest_period_px, frequencies=code.frequencies),
-        steps=code.steps,
-        first_px=sweep.first_px,
-        last_px=last_px,
-    )
 
 
 def longest_run_s(volume_ml: float, tank: Tank) -> float:

@@ -55,6 +55,15 @@ class LevelResponse:
         return self.black + (self.white - self.black) * (level / 255) ** self.gamma
 
 
+def drive_levels(counts: Float64[np.ndarray, "..."], *, level: Levels, value: Levels) -> Float64[np.ndarray, "..."]:
+    """Return the drive level whose photo value each count is: the response undone, so that counts follow the pattern again.
+
+    ``value`` are the measured counts of the drive levels ``level``, both rising; linear between them, held beyond them.
+    """
+    rising = np.maximum.accumulate(value)
+    return np.interp(counts, rising, level)
+
+
 def fit_levels(
     levels: Float64[np.ndarray, " photos"],
     values: Float64[np.ndarray, " photos"],

@@ -18,6 +18,7 @@ from pathlib import Path
 
 import numpy as np
 
+from recon.calibration.response_record import RESPONSE_NAME
 from recon.metrics import PhotoQuality, SampleCurve
 from recon.sessions.disk import Disk, make_folders, write_whole
 from recon.sessions.manifest import Axis, CaptureSet
@@ -42,6 +43,7 @@ def store_key(session: Session, capture_set: CaptureSet, axis: Axis, *, method: 
     if black is not None and black.sha256 is None:
         return None
     camera = session.manifest.camera
+    response = session.folder / RESPONSE_NAME
     parts = {
         "program": _program_hash(),
         "method": method,
@@ -52,6 +54,7 @@ def store_key(session: Session, capture_set: CaptureSet, axis: Axis, *, method: 
         "camera": [camera.rows, camera.columns],
         "photos": hashes,
         "black": black.sha256 if black else None,
+        "response": hashlib.sha256(response.read_bytes()).hexdigest() if response.is_file() else None,
     }
     return hashlib.sha256(json.dumps(parts, sort_keys=True).encode()).hexdigest()
 

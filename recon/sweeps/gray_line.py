@@ -194,7 +194,8 @@ def _dark_of_lines(lines: np.ndarray, shape: tuple[int, int]) -> tuple[Counts, f
     steps = lines.shape[1]
     opposite = np.rint(line_phase(lines)[0]).astype(np.int64) + steps // 2
     before, middle, after = (
-        np.take_along_axis(lines, ((opposite + offset) % steps)[:, None], axis=1).reshape(shape) for offset in (-1, 0, 1)
+        np.take_along_axis(lines, ((opposite + offset) % steps)[:, None], axis=1).reshape(shape)
+        for offset in (-1, 0, 1)
     )
     twice_the_mean = before.astype(np.int32) + after
     variance = dark_variance(2 * middle.astype(np.int32), twice_the_mean) / 3

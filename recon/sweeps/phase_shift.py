@@ -11,7 +11,9 @@ from dataclasses import dataclass
 import numpy as np
 from jaxtyping import Bool, Float64
 
-from recon.metrics import PhotoQuality
+from recon.calibration.level_response import drive_levels
+from recon.calibration.response_record import RESPONSE_NAME, read_response
+from recon.metrics import PhotoQuality, SampleCurve
 from recon.sessions.manifest import Axis, CaptureSet
 from recon.sessions.pattern import PhaseShiftPattern
 from recon.sessions.photos import saturation_count
@@ -25,6 +27,8 @@ from recon.sweeps.photo_stream import black_photo, has_black, photo_stream
 FARTHEST_FROM_COARSER = 0.35
 # Five standard deviations of the coarser place must stay within half of the finer period.
 LARGEST_COARSE_SD = 0.1
+# So many pixels' own curves are kept for the report, which draws some of those that became points.
+CURVES = 144
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -88,32 +92,61 @@ def decode_phase_shift(
     pixels = camera.rows * camera.columns
     quality: list[PhotoQuality] = []
     some = np.arange(0, pixels, max(-(-pixels // NOISE_SAMPLE_PIXELS), 1))
+    linear = response_undone(session)
     tracker, samples = PhaseTracker(pixels, pattern), np.empty((pattern.count, len(some)))
     clipped = np.zeros(pixels, dtype=bool)
     numbers = session.photo_numbers(capture_set, axis)
     photos = photo_stream(session, capture_set, axis, numbers, quality=quality, on_photo=on_photo)
     for number, counts in enumerate(photos):
         clipped |= counts.ravel() >= saturation_count(counts)
-        values = counts.ravel().astype(np.float64)
+        values = linear(counts.ravel().astype(np.float64))
         samples[number] = values[some]
         tracker.feed(values)
     phases = tracker.finish()
     black = black_photo(session, capture_set) if has_black(session, capture_set) else None
-    level = np.zeros(pixels) if black is None else black.ravel().astype(np.float64)
+    level = np.zeros(pixels) if black is None else linear(black.ravel().astype(np.float64))
     noise = _noise(phases, samples, some, pattern, black=level)
     sd_turns, misfit = _phase_sd(phases, pattern, noise=noise, black=level)
     places = unwrapped(phases.turns, sd_turns, pattern)
+    sd_px = places.sd_px * neighbour_ratio(places.place_px.reshape(shape), places.sd_px.reshape(shape))
     status = _status(phases, places, pattern, noise=noise, clipped=clipped)
     fine = status == PixelStatus.OK
     return SweepResult(
         place_px=np.where(fine, places.place_px, np.nan).reshape(shape),
-        sd_px=np.where(fine, places.sd_px, np.nan).astype(np.float32).reshape(shape),
+        sd_px=np.where(fine, sd_px, np.nan).astype(np.float32).reshape(shape),
         status=status.reshape(shape),
         noise=noise,
         misfit=float(np.median(misfit[fine])) if fine.any() else float("nan"),
         photos=tuple(quality),
-        curves=(),
+        curves=_curves(samples, some, phases, places, pattern, photos=tuple(quality), status=status, columns=shape[1]),
     )
+
+
+def response_undone(session: Session) -> Callable[[np.ndarray], np.ndarray]:
+    """Return what makes counts follow drive levels: the session's measured response, undone; nothing where it has none."""
+    path = session.folder / RESPONSE_NAME
+    levels = read_response(path).levels if path.is_file() else None
+    if levels is None:
+        return lambda counts: counts
+    return lambda counts: drive_levels(counts, level=np.array(levels.level), value=np.array(levels.value))
+
+
+def neighbour_ratio(place_px: Float64[np.ndarray, "rows cols"], sd_px: Float64[np.ndarray, "rows cols"]) -> float:
+    """Return how much more places scatter about their neighbours than their sd says, 1 at least.
+
+    JPEG compression bends fringes that are finer than its blocks much alike in every phase, so that no residual shows it. Third
+    differences along rows and columns do: a smooth map has next to none, and their variance is 20 times that of a place. The
+    two directions' variances are averaged: the error swings across the fringes faster than along them.
+    """
+    ratios = []
+    for axis in (0, 1):
+        if place_px.shape[axis] > 3:
+            third = np.diff(place_px, n=3, axis=axis)
+            sd = sd_px[3:] if axis == 0 else sd_px[:, 3:]
+            with np.errstate(invalid="ignore", divide="ignore"):
+                relative = np.abs(third) / (sd * np.sqrt(20.0))
+            ratios.append(1.4826 * float(np.nanmedian(relative)) if np.isfinite(relative).any() else 1.0)
+    return max(1.0, float(np.sqrt(np.mean(np.square(ratios))))) if ratios else 1.0
 
 
 def unwrapped(
@@ -195,3 +228,42 @@ def _models(phases: Phases, some: np.ndarray, pattern: PhaseShiftPattern) -> Ite
         period, shift = divmod(number, pattern.steps)
         turns = phases.turns[period, some] - shift / pattern.steps
         yield phases.mean[period, some] + phases.amplitude[period, some] * np.cos(2 * np.pi * turns)
+
+
+def _curves(
+    samples: np.ndarray,
+    some: np.ndarray,
+    phases: Phases,
+    places: Places,
+    pattern: PhaseShiftPattern,
+    *,
+    photos: tuple[PhotoQuality, ...],
+    status: np.ndarray,
+    columns: int,
+) -> tuple[SampleCurve, ...]:
+    """Return a few pixels' samples of the finest period for the report, each at the crest of its fringe next to the pixel."""
+    finest = np.arange(pattern.count - pattern.steps, pattern.count)
+    period_px = pattern.periods_px[-1]
+    model = np.stack(list(_models(phases, some, pattern)))[finest]
+    good = np.flatnonzero(status[some] == PixelStatus.OK)
+    curves = []
+    for place in good[:: max(len(good) // CURVES, 1)]:
+        pixel = int(some[place])
+        centre_px = float(places.place_px[pixel])
+        offset = pattern.first_px + period_px * np.arange(pattern.steps) / pattern.steps - centre_px
+        crest_px = centre_px + offset - period_px * np.rint(offset / period_px)
+        order = np.argsort(crest_px)
+        curves.append(
+            SampleCurve(
+                row=pixel // columns,
+                col=pixel % columns,
+                set=photos[0].set,
+                axis=photos[0].sweep,
+                place_px=tuple(crest_px[order].tolist()),
+                intensity=tuple(samples[finest, place][order].tolist()),
+                model=tuple(model[order, place].tolist()),
+                peak_px=centre_px,
+                sd_px=float(places.sd_px[pixel]),
+            )
+        )
+    return tuple(curves)

@@ -12,7 +12,7 @@ from pydantic import BaseModel
 from recon.maps import load_maps
 from recon.run import run_session
 from recon.running.settings import Settings
-from recon.sessions import journal, manifest
+from recon.sessions import journal, manifest, pattern
 from recon.sessions.journal import PhotoRecord
 from recon.sessions.session import Session, open_session
 
@@ -22,7 +22,7 @@ PHOTOS = REPOSITORY / "tests/data/povray-semi-ellipsoid/smooth"
 
 MODELS = {
     name: model
-    for module in (manifest, journal)
+    for module in (manifest, pattern, journal)
     for name, model in vars(module).items()
     if isinstance(model, type) and issubclass(model, BaseModel) and model.__module__ == module.__name__
 }

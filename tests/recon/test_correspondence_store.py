@@ -14,8 +14,9 @@ from recon.run import decode_session
 from recon.running.settings import Settings
 from recon.sessions.session import Session, open_session
 from recon.sweeps import correspondence_store
-from recon.sweeps.correspondence import SweepResult, decode_sweep
+from recon.sweeps.correspondence import SweepResult
 from recon.sweeps.correspondence_store import load_stored, save_stored, store_path, stored_or_decoded
+from recon.sweeps.decode_pattern import decode_pattern
 
 
 @pytest.fixture
@@ -36,7 +37,7 @@ def first_sweep(folder: Path) -> tuple[Session, Any]:
 
 def keep(folder: Path) -> tuple[SweepResult, Path]:
     session, one = first_sweep(folder)
-    result = decode_sweep(session, one, "x", method="full")
+    result = decode_pattern(session, one, "x", method="full")
     path = save_stored(session, one, "x", result, method="full")
     assert path is not None
     return result, path
@@ -68,9 +69,9 @@ def test_a_kept_sweep_is_not_decoded_again_and_the_others_are(folder: Path, monk
 
     def counting(session: Session, one: Any, axis: Any, **rest: Any) -> SweepResult:
         decoded.append((one.name, axis))
-        return decode_sweep(session, one, axis, **rest)
+        return decode_pattern(session, one, axis, **rest)
 
-    monkeypatch.setattr(correspondence_store, "decode_sweep", counting)
+    monkeypatch.setattr(correspondence_store, "decode_pattern", counting)
     sweeps = decode_session(open_session(folder), Settings(threads=1))
     assert len(sweeps) == 8
     assert len(decoded) == 7
@@ -121,6 +122,6 @@ def test_a_damaged_file_is_as_good_as_none(folder: Path, damage: bytes | None) -
 def test_without_hashes_in_the_journal_nothing_is_kept(tmp_path: Path) -> None:
     folder = write_session(tmp_path / "session")
     session, one = first_sweep(folder)
-    result = decode_sweep(session, one, "x", method="full")
+    result = decode_pattern(session, one, "x", method="full")
     assert save_stored(session, one, "x", result, method="full") is None
     assert not (folder / correspondence_store.STORE_NAME).exists()
