@@ -4,6 +4,7 @@ import numpy as np
 
 from recon.calibration.board import Board
 from recon.calibration.bundle import BundleResult
+from recon.calibration.bundle_state import GLASS, SCALE
 from recon.calibration.calibration_file import (
     BoardRecord,
     CalibratedCamera,
@@ -16,6 +17,7 @@ from recon.calibration.calibration_file import (
 )
 from recon.calibration.detection import BoardView
 from recon.calibration.display_poses import AIR_PANELS, STRAIGHT_SIGMA, straightness
+from recon.calibration.evidence import evidence_of
 from recon.calibration.fep_error import Geometry, fep_error
 from recon.calibration.intrinsics import LensEstimate
 from recon.calibration.lens import intrinsics_of
@@ -79,9 +81,13 @@ def assemble(
             corners=corners,
             corners_dropped=poses.dropped(),
             fep_error_mm=error.rms_mm,
+            fep_display_error_mm=error.display_rms_mm,
             fep_shape_error_mm=error.shape_rms_mm,
             normal_error_deg=float(np.degrees(error.normal_rms_rad)),
+            pitch_sd_share=_sd_of(poses, SCALE),
+            cover_glass_sd_mm=_sd_of(poses, GLASS),
         ),
+        evidence=evidence_of(lens, poses, columns=camera.columns, rows=camera.rows),
         warnings=_warnings(lens, poses),
         provenance=provenance,
     )
@@ -98,6 +104,11 @@ def _measured_display(display: DisplayPanel, poses: BundleResult) -> DisplayPane
     if glass is not None and poses.state.glass_mm > 0:
         glass = CoverGlass(thickness_mm=poses.state.glass_mm, n=glass.n)
     return display.model_copy(update={"pitch_mm": display.pitch_mm * poses.state.scale, "cover_glass": glass})
+
+
+def _sd_of(poses: BundleResult, name: str) -> float | None:
+    """Return the sd of pitch or glass; None where it was taken as given."""
+    return float(np.sqrt(poses.covariance_of(name)[0, 0])) if name in poses.table.parts else None
 
 
 def _level(poses: BundleResult, geometry: Geometry) -> MeasuredLevel | None:

@@ -15,6 +15,7 @@ from pydantic import Field, ValidationError, model_validator
 from recon.calibration.bundle import BundleResult
 from recon.calibration.display_poses import AIR_PANELS, manifest_pose
 from recon.calibration.errors import CalibrationError
+from recon.calibration.evidence import Evidence
 from recon.calibration.wet_pose import WET_PANELS
 from recon.sessions.disk import Disk, write_fault, write_whole
 from recon.sessions.manifest import (
@@ -73,7 +74,9 @@ class MeasuredLevel(Part):
 class Quality(Part):
     """How good the calibration is: reprojection in px, and what its errors mean for a first entry point (rms).
 
-    ``fep_shape_error_mm`` is what is left of ``fep_error_mm`` after the motion of the object as a whole is taken off.
+    ``fep_error_mm`` is told in the camera's frame, ``fep_display_error_mm`` in that of the display at position 0, and
+    ``fep_shape_error_mm`` after the motion of the object as a whole is taken off. ``pitch_sd_share`` and
+    ``cover_glass_sd_mm`` are there where pitch and glass were measured rather than taken as given.
     """
 
     reprojection_rms_px: Annotated[float, Field(ge=0)]
@@ -81,8 +84,11 @@ class Quality(Part):
     corners: Annotated[int, Field(ge=0)] = 0
     corners_dropped: Annotated[int, Field(ge=0)] = 0
     fep_error_mm: Annotated[float, Field(ge=0)] | None = None
+    fep_display_error_mm: Annotated[float, Field(ge=0)] | None = None
     fep_shape_error_mm: Annotated[float, Field(ge=0)] | None = None
     normal_error_deg: Annotated[float, Field(ge=0)] | None = None
+    pitch_sd_share: Annotated[float, Field(ge=0)] | None = None
+    cover_glass_sd_mm: Annotated[float, Field(ge=0)] | None = None
 
 
 class UsedPhoto(Part):
@@ -120,6 +126,7 @@ class Calibration(Part):
     covariance: Matrix = ()
     level: MeasuredLevel | None = None
     quality: Quality
+    evidence: Evidence | None = None
     warnings: tuple[str, ...] = ()
     provenance: CalibrationProvenance = CalibrationProvenance()
 

@@ -159,8 +159,12 @@ def display_poses(
 def straightness(result: BundleResult) -> Straightness:
     """Return whether the display turned between its positions, judged by the adjustment's own covariance."""
     first, second = (result.state.panels[name] for name in AIR_PANELS)
+    return straightness_between(first, second, result.covariance_of(*AIR_PANELS))
+
+
+def straightness_between(first: PanelPose, second: PanelPose, covariance: Float64[np.ndarray, "12 12"]) -> Straightness:
+    """Return whether the display turned between two poses with this joint covariance."""
     turn = turn_between(first, second)
-    covariance = result.covariance_of(*AIR_PANELS)
     by_turn = np.hstack([-first.rotation.T, np.zeros((3, 3)), first.rotation.T, np.zeros((3, 3))])
     turn_covariance = by_turn @ covariance @ by_turn.T
     way = second.centre_mm - first.centre_mm
@@ -200,4 +204,5 @@ __all__ = [
     "slip",
     "start_pose",
     "straightness",
+    "straightness_between",
 ]

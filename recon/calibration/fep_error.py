@@ -5,14 +5,14 @@ each point's. Errors that all sets share mostly carry the object along as a whol
 shape, which is what a measurement of the object suffers.
 """
 
-from collections.abc import Mapping
-from dataclasses import dataclass
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, replace
 
 import numpy as np
 from jaxtyping import Float64
 
 from recon.calibration.bundle import BundleResult
-from recon.calibration.bundle_state import moved_pose
+from recon.calibration.bundle_state import GLASS, SCALE, moved_pose
 from recon.calibration.display_poses import AIR_PANELS, manifest_pose
 from recon.calibration.sight_line import PanelPose, bent, places_from
 from recon.calibration.wet_pose import WET_PANELS
@@ -23,8 +23,11 @@ from recon.sessions.manifest import CoverGlass
 
 SETS = (*AIR_PANELS, *WET_PANELS)
 NUDGE = np.array([1e-6] * 3 + [1e-4] * 3)  # rad, mm
+NUDGE_OTHER = 1e-4  # mm of glass, or a share of the pitch
 
 Panels = Mapping[str, PanelPose]
+# FEPs and normals.
+Result = tuple[Float64[np.ndarray, "points 3"], Float64[np.ndarray, "points 3"]]
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -45,19 +48,19 @@ class FepError:
     ----------
     sd_mm : of each FEP, root of the trace of its covariance, in the camera's frame.
     rms_mm : over all FEPs.
+    display_rms_mm : the same in the frame of the display at position 0 dry, which has no error of its own there.
     shape_rms_mm : the same after the motion of the object as a whole, which the errors share, is taken off.
     normal_rms_rad : of the normals' directions.
     """
 
     sd_mm: Float64[np.ndarray, " points"]
     rms_mm: float
+    display_rms_mm: float
     shape_rms_mm: float
     normal_rms_rad: float
 
 
-def entry_points_of(
-    geometry: Geometry, panels: Panels
-) -> tuple[Float64[np.ndarray, "points 3"], Float64[np.ndarray, "points 3"]]:
+def entry_points_of(geometry: Geometry, panels: Panels) -> Result:
     """Return FEPs and normals with the panels at these poses; a set without a pose of its own has that of its position dry."""
     paths = {}
     for condition, n_medium in (("liquid", geometry.n_liquid), ("air", geometry.n_air)):
@@ -84,34 +87,71 @@ def panel_of(set_name: str, panels: Panels) -> str:
 
 
 def fep_error(geometry: Geometry, calibration: BundleResult) -> FepError:
-    """Return what the covariance of the poses of a calibration means for the FEPs of a geometry."""
+    """Return what the covariance of a calibration means for the FEPs of a geometry: its poses', and pitch's and glass's if free.
+
+    ``geometry`` has the cover glass of the calibration, and its places on the screen in mm of the calibrated pitch.
+    """
     names = [name for name in SETS if name in calibration.state.panels]
     panels = {name: calibration.state.panels[name] for name in names}
-    return fep_error_of(geometry, panels, calibration.covariance_of(*names))
+    others = {GLASS: _thicker, SCALE: _stretched}
+    free = [name for name in others if name in calibration.table.parts]
+    return fep_error_of(
+        geometry, panels, calibration.covariance_of(*names, *free), others=tuple(others[name] for name in free)
+    )
 
 
-def fep_error_of(geometry: Geometry, panels: Panels, covariance: Float64[np.ndarray, "numbers numbers"]) -> FepError:
-    """Return what a joint covariance of poses (six a panel, in the order of ``panels``) means for the FEPs of a geometry."""
+def fep_error_of(
+    geometry: Geometry,
+    panels: Panels,
+    covariance: Float64[np.ndarray, "numbers numbers"],
+    *,
+    others: tuple[Callable[[Geometry, float], Geometry], ...] = (),
+) -> FepError:
+    """Return what a joint covariance means for the FEPs of a geometry.
+
+    It holds six numbers a panel, in the order of ``panels``, and then one for each of ``others``, which change the geometry.
+    """
     point_mm, _ = entry_points_of(geometry, panels)
     by_point, by_normal = [], []
+
+    def differ(ahead: Result, behind: Result, nudge: float) -> None:
+        by_point.append((ahead[0] - behind[0]) / (2 * nudge))
+        by_normal.append((ahead[1] - behind[1]) / (2 * nudge))
+
     for name in panels:
         for number in range(6):
             step = np.zeros(6)
             step[number] = NUDGE[number]
-            ahead = entry_points_of(geometry, {**panels, name: moved_pose(panels[name], step)})
-            behind = entry_points_of(geometry, {**panels, name: moved_pose(panels[name], -step)})
-            by_point.append((ahead[0] - behind[0]) / (2 * NUDGE[number]))
-            by_normal.append((ahead[1] - behind[1]) / (2 * NUDGE[number]))
+            ahead, behind = (
+                entry_points_of(geometry, {**panels, name: moved_pose(panels[name], sign * step)}) for sign in (1, -1)
+            )
+            differ(ahead, behind, NUDGE[number])
+    for changed in others:
+        ahead, behind = (entry_points_of(changed(geometry, sign * NUDGE_OTHER), panels) for sign in (1, -1))
+        differ(ahead, behind, NUDGE_OTHER)
     point_jacobian, normal_jacobian = np.stack(by_point, axis=2), np.stack(by_normal, axis=2)
     sound = np.isfinite(point_jacobian).all(axis=(1, 2)) & np.isfinite(normal_jacobian).all(axis=(1, 2))
     variance = _variances(point_jacobian, covariance)
     shape = _without_motion(point_jacobian[sound], point_mm[sound])
+    in_display = _in_frame_of_panel(point_jacobian, point_mm, panels)
     return FepError(
         sd_mm=np.sqrt(variance),
         rms_mm=float(np.sqrt(variance[sound].mean())),
+        display_rms_mm=float(np.sqrt(_variances(in_display, covariance)[sound].mean())),
         shape_rms_mm=float(np.sqrt(_variances(shape, covariance).mean())),
         normal_rms_rad=float(np.sqrt(_variances(normal_jacobian, covariance)[sound].mean())),
     )
+
+
+def _thicker(geometry: Geometry, by_mm: float) -> Geometry:
+    glass = geometry.cover_glass
+    if glass is None:
+        return geometry
+    return replace(geometry, cover_glass=CoverGlass(thickness_mm=glass.thickness_mm + by_mm, n=glass.n))
+
+
+def _stretched(geometry: Geometry, by_share: float) -> Geometry:
+    return replace(geometry, screen_mm={name: place * (1 + by_share) for name, place in geometry.screen_mm.items()})
 
 
 def dome_geometry(
@@ -170,6 +210,20 @@ def _variances(
 ) -> Float64[np.ndarray, " points"]:
     variance = np.einsum("pin,nm,pim->p", jacobian, covariance, jacobian)
     return np.maximum(variance, 0.0)  # rounding makes a variance of nought negative
+
+
+def _in_frame_of_panel(
+    jacobian: Float64[np.ndarray, "points 3 numbers"], point_mm: Float64[np.ndarray, "points 3"], panels: Panels
+) -> Float64[np.ndarray, "points 3 numbers"]:
+    """Take off how the points would move if they were fixed to the display at position 0."""
+    names = list(panels)
+    first = 6 * names.index(AIR_PANELS[0])
+    arm = point_mm - panels[AIR_PANELS[0]].centre_mm
+    carried = np.zeros_like(jacobian)
+    for number, axis in enumerate(np.eye(3)):
+        carried[:, :, first + number] = np.cross(axis, arm)
+        carried[:, :, first + 3 + number] = axis
+    return jacobian - carried
 
 
 def _without_motion(

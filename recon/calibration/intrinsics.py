@@ -28,6 +28,7 @@ class LensEstimate:
     ----------
     covariance : of the nine numbers, scaled by the residuals; poses of the board are marginalised.
     corner_sd_px : standard deviation of a corner along each axis, from the residuals.
+    views : those that were used; the following are in their order.
     view_rms_px : root mean square reprojection error of each view, over both axes.
     residual_px : measured less predicted place of every corner of each view.
     outliers : names of the views that disagree with the others.
@@ -38,13 +39,18 @@ class LensEstimate:
     covariance: Float64[np.ndarray, "9 9"]
     corner_sd_px: float
     rms_px: float
-    names: tuple[str, ...]
+    views: tuple[BoardView, ...]
     view_rms_px: tuple[float, ...]
     residual_px: tuple[Float64[np.ndarray, "_ 2"], ...]
     poses: tuple[PanelPose, ...]
     outliers: tuple[str, ...]
     coverage: Coverage
     advice: tuple[str, ...]
+
+    @property
+    def names(self) -> tuple[str, ...]:
+        """The names of the views that were used."""
+        return tuple(view.name for view in self.views)
 
     def sd(self) -> dict[str, float]:
         """Return the standard deviation of each number by name."""
@@ -101,7 +107,7 @@ def calibrate_lens(views: Sequence[BoardView], *, columns: int, rows: int) -> Le
         covariance=variance * np.linalg.inv(information),
         corner_sd_px=float(np.sqrt(variance)),
         rms_px=float(np.sqrt(2 * squares / count)),
-        names=tuple(view.name for view in usable),
+        views=tuple(usable),
         view_rms_px=view_rms,
         residual_px=tuple(residuals),
         poses=poses,

@@ -13,12 +13,12 @@ import numpy as np
 from jaxtyping import Float64
 
 from recon.calibration.bundle import BundleResult, Constraint, Media, Sighting, adjust
-from recon.calibration.bundle_state import BundleState, Freedom
+from recon.calibration.bundle_state import GLASS, SCALE, BundleState, Freedom
 from recon.calibration.constraints import level_known, slip, slipped_little
 from recon.calibration.detection import BoardView
 from recon.calibration.display_poses import AIR_PANELS
 from recon.calibration.errors import CalibrationError
-from recon.calibration.sight_line import LiquidPlane
+from recon.calibration.sight_line import LiquidPlane, PanelPose
 from recon.calibration.significance import equivalent_sigma
 from recon.sessions.manifest import CoverGlass
 
@@ -100,6 +100,7 @@ def wet_poses(
     cover_glass: CoverGlass | None = None,
     slipping: SlipKnowledge | None = None,
     known: Sequence[Constraint] = (),
+    other_views: Sequence[BoardView] = (),
 ) -> BundleResult:
     """Adjust dry and wet poses, the lens and the liquid's surface together.
 
@@ -112,7 +113,9 @@ def wet_poses(
         Otherwise it is taken as parallel to the display, to within the sd that follow.
     level_sd_mm, level_tilt_sd_rad : how well its distance and its direction are known.
     slipping : how far the panel may have moved.
-    known : what was known for ``dry`` besides its photos: the constraints on the lens and on the stage.
+    known : what was known for ``dry`` besides its photos: the constraints on the lens and on the stage. The cover glass's
+        thickness and the pitch are adjusted again where a constraint on them is among these.
+    other_views : those of ``dry``, in the same order.
 
     Returns
     -------
@@ -127,6 +130,9 @@ def wet_poses(
     panels = {name: dry.state.panels[name] for name in AIR_PANELS}
     constraints = [*known, level_known(start, tilt_sd_rad=level_tilt_sd_rad, distance_sd_mm=level_sd_mm)]
     sightings = [Sighting(view, AIR_PANELS[position]) for position in (0, 1) for view in dry_views.get(position, ())]
+    for number, view in enumerate(other_views):
+        sightings.append(Sighting(view, f"other{number}"))
+        panels[f"other{number}"] = dry.state.panels[f"other{number}"]
     may_slip = (slipping or SlipKnowledge()).sd()
     for position in positions:
         panels[WET_PANELS[position]] = panels[AIR_PANELS[position]]
@@ -135,7 +141,12 @@ def wet_poses(
     return adjust(
         BundleState(dry.state.lens, panels, start, dry.state.glass_mm, dry.state.scale),
         sightings,
-        freedom=Freedom(lens=True, liquid=True),
+        freedom=Freedom(
+            lens=True,
+            liquid=True,
+            glass=any(GLASS in one.parts for one in known),
+            scale=any(SCALE in one.parts for one in known),
+        ),
         media=Media(n_air=n_air, n_liquid=n_liquid, n_glass=cover_glass.n if cover_glass else 1.0),
         constraints=constraints,
         corner_sd_px=dry.corner_sd_px,
@@ -144,17 +155,27 @@ def wet_poses(
 
 def slips(result: BundleResult, *, slipping: SlipKnowledge | None = None) -> tuple[Slip, ...]:
     """Return how the panel moved between dry and wet at each position that was photographed wet."""
-    before = np.array((slipping or SlipKnowledge()).sd())
-    found = []
-    for position, (dry, wet) in enumerate(zip(AIR_PANELS, WET_PANELS, strict=True)):
-        if wet not in result.state.panels:
-            continue
-        first, second = result.state.panels[dry], result.state.panels[wet]
-        across = first.rotation.T
-        # Rotating the first panel also turns the axes along which the shift is told: left out, it is slip times sd.
-        nothing = np.zeros((3, 3))
-        jacobian = np.block([[-across, nothing, across, nothing], [nothing, -across, nothing, across]])
-        covariance = jacobian @ result.covariance_of(dry, wet) @ jacobian.T
-        determined = np.sqrt(np.diag(covariance)) < DETERMINED_SHARE * before
-        found.append(Slip(position, slip(first, second), covariance, tuple(map(bool, determined))))
-    return tuple(found)
+    panels = result.state.panels
+    return tuple(
+        slip_between(position, panels[dry], panels[wet], result.covariance_of(dry, wet), slipping=slipping)
+        for position, (dry, wet) in enumerate(zip(AIR_PANELS, WET_PANELS, strict=True))
+        if wet in panels
+    )
+
+
+def slip_between(
+    position: int,
+    dry: PanelPose,
+    wet: PanelPose,
+    covariance: Float64[np.ndarray, "12 12"],
+    *,
+    slipping: SlipKnowledge | None = None,
+) -> Slip:
+    """Return how the panel moved between two poses with this joint covariance."""
+    across = dry.rotation.T
+    # Rotating the first panel also turns the axes along which the shift is told: left out, it is slip times sd.
+    nothing = np.zeros((3, 3))
+    jacobian = np.block([[-across, nothing, across, nothing], [nothing, -across, nothing, across]])
+    moved = jacobian @ covariance @ jacobian.T
+    determined = np.sqrt(np.diag(moved)) < DETERMINED_SHARE * np.array((slipping or SlipKnowledge()).sd())
+    return Slip(position, slip(dry, wet), moved, tuple(map(bool, determined)))
