@@ -99,3 +99,28 @@ class Watch(Part):
                     f"marks_px holds {[left, top, right, bottom]}; give first column, first row, last column, last row"
                 )
         return self
+
+
+class Calibrate(Part):
+    """What `rig calibrate` photographs, and what is known beforehand; each value may be left out.
+
+    ``squares`` and ``square_mm`` are those of a printed board, ``squares_along`` those along the longer side of the display,
+    whose board is drawn with levels up to ``white``. ``travel_sd_mm``, ``pitch_sd`` (a share) and ``glass_sd_mm`` say how well
+    the stage's way, the display's pitch and its cover glass are known; pitch and glass are estimated only where that is given.
+    What the calibration means at an object is told for half a ball of ``object_radius_mm``, ``object_gap_mm`` before the nearer
+    position.
+    """
+
+    board: Literal["printed", "display"] = "printed"
+    squares: tuple[Annotated[int, Field(ge=3)], Annotated[int, Field(ge=3)]] = (9, 6)
+    square_mm: Positive | None = None
+    dictionary: str = "DICT_5X5_250"
+    squares_along: Annotated[int, Field(ge=3)] = 16
+    white: Annotated[int, Field(ge=1, le=255)] = 255
+    photos: Annotated[int, Field(ge=1)] = 3
+    travel_sd_mm: Positive = 0.05
+    pitch_sd: Positive | None = None
+    glass_sd_mm: Positive | None = None
+    object_radius_mm: Positive = 25.0
+    object_gap_mm: Positive = 25.0
+    valid_days: Positive = 30.0

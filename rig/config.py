@@ -28,7 +28,7 @@ from recon.sessions.manifest import (
     ScannedObject,
 )
 from recon.sessions.pattern import Pattern, StripePattern
-from rig.capture_sections import AutoExposure, GrayLineCode, Live, PhaseShiftCode, Scan, Watch
+from rig.capture_sections import AutoExposure, Calibrate, GrayLineCode, Live, PhaseShiftCode, Scan, Watch
 from rig.errors import ConfigError
 from rig.planning.coded_pattern import coded_pattern
 
@@ -213,6 +213,7 @@ class RigConfig(Part):
     display: DisplayPanel
     display_poses: tuple[Pose, Pose]
     calibration: str | None = None
+    calibrate: Calibrate = Calibrate()
     camera: CameraBody
     capture: Capture
     tank: Tank | None = None
@@ -339,6 +340,8 @@ def load_config(path: Path) -> RigConfig:
         data = tomllib.loads(text)
     except tomllib.TOMLDecodeError as error:
         raise ConfigError(f"{path}: not TOML: {error}") from None
+    if isinstance(data.get("calibration"), str):
+        data["calibration"] = str(path.parent / data["calibration"])  # an absolute one stays as it is
     try:
         return RigConfig.model_validate(data)
     except ValidationError as error:

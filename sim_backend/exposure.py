@@ -18,6 +18,7 @@ from drivers.protocols import Frame
 from sim_backend.brightness import light_got, opening_times_s
 from sim_backend.disturbance import QUIET, Disturbance
 from sim_backend.frame_equality import same_frame
+from sim_backend.held_sheet import HeldSheet
 from sim_backend.scene import Scene
 from sim_backend.world import Sight, World
 
@@ -67,6 +68,15 @@ class MixesFrames(TakesPhotos, Protocol):
         ...
 
 
+@runtime_checkable
+class SeesHeldSheets(TakesPhotos, Protocol):
+    """Optics that can photograph what a hand holds before the camera."""
+
+    def photograph_held(self, held: HeldSheet, frame: Frame, *, exposure: int = 0, light: float = 1.0) -> bytes:
+        """Return the JPEG file of one photo; ``exposure`` numbers photos whose noise is to differ."""
+        ...
+
+
 class WorldExposure:
     """One sensor in front of ``world``, behind ``optics``; one exposure at a time."""
 
@@ -102,7 +112,7 @@ class WorldExposure:
         """Return the JPEG file of what was seen, with so many times the light of the scene's own exposure."""
         assert self._seen is not None, "the shutter was not opened and closed"
         (sight, before), self._seen = self._seen, None
-        if self._mixing is not None:
+        if self._mixing is not None and sight.held is None:
             return self._mixed(self._mixing, sight, light)
         photo = self._photographed(sight, sight.frame, light)
         return photo if before is None else blended(self._photographed(sight, before, light), photo)
@@ -134,6 +144,10 @@ class WorldExposure:
         )
 
     def _photographed(self, sight: Sight, frame: Frame, light: float) -> bytes:
+        if sight.held is not None and isinstance(self._optics, SeesHeldSheets):
+            if sight.held.printed is None:
+                light *= sight.disturbance.light
+            return self._optics.photograph_held(sight.held, frame, exposure=sight.disturbance.exposure, light=light)
         return self._optics.photograph(
             frame,
             stage_position_mm=sight.stage_position_mm,

@@ -15,6 +15,7 @@ from jaxtyping import Float32, Float64
 from drivers.protocols import Frame
 from sim_backend.disturbance import QUIET, Disturbance, disturbed_scene, rippled
 from sim_backend.footprint import axis_matrix, image_light, light_of, patch_matrix
+from sim_backend.held_sheet import Directions, HeldSheet, sheet_light, straight_rays
 from sim_backend.light_paths import ScreenMap, SubRays, on_panel, screen_map, trace_sub_rays
 from sim_backend.marks import mark_light
 from sim_backend.scene import Scene
@@ -60,6 +61,7 @@ class Photographer:
         self._lock = threading.RLock()
         self._rays: OrderedDict[tuple[bool, bool, Disturbance], Any] = OrderedDict()
         self._views: OrderedDict[Key, View] = OrderedDict()
+        self._straight: dict[str, Directions] = {}
 
     def photograph(
         self,
@@ -79,6 +81,15 @@ class Photographer:
             value = value * np.float32(light)
             parts = (*parts, light)
         key = frame_key(frame, self.scene.seed, float(stage_position_mm), wet, object_present, *parts)
+        return jpeg_bytes(noisy_grey(value, camera, key=key), quality=camera.jpeg_quality)
+
+    def photograph_held(self, held: HeldSheet, frame: Frame, *, exposure: int = 0, light: float = 1.0) -> bytes:
+        """Return the JPEG of one exposure of what a hand holds before the camera."""
+        camera = self.scene.camera
+        direction = self._made(self._straight, "camera", lambda: straight_rays(camera))
+        value = blur(sheet_light(self.scene, held, frame, direction), camera.blur_px)
+        value = (value + np.float32(camera.ambient)) * np.float32(light)
+        key = frame_key(frame, self.scene.seed, *held.key(), exposure, light)
         return jpeg_bytes(noisy_grey(value, camera, key=key), quality=camera.jpeg_quality)
 
     def photograph_mix(

@@ -15,6 +15,7 @@ from typing import Any
 from drivers.protocols import Clock, FlowDirection, Frame
 from sim_backend.disturbance import QUIET, Disturbance
 from sim_backend.frame_equality import same_frame
+from sim_backend.held_sheet import HeldSheet
 from sim_backend.liquid_faults import LiquidFaults
 from sim_backend.unrest import Unrest
 
@@ -85,7 +86,8 @@ class WorldState:
 class Sight:
     """What the camera sees at one moment.
 
-    ``disturbed``: the stage moved, the pump ran, or the display changed while the shutter was open.
+    ``disturbed``: the stage moved, the pump ran, or the display changed while the shutter was open. ``held`` is what a hand holds
+    before everything else.
     """
 
     frame: Frame
@@ -95,6 +97,7 @@ class Sight:
     object_present: bool
     disturbed: bool
     disturbance: Disturbance = QUIET
+    held: HeldSheet | None = None
 
 
 class World:
@@ -120,6 +123,7 @@ class World:
         self.disturbed_photos = 0
         self.unrest = Unrest()
         self._dark_frame = dark_frame
+        self._held: HeldSheet | None = None
         self._state = state
         self._on_change = on_change
         self._shown: deque[tuple[float, Frame, int | None]] = deque([(-math.inf, dark_frame, None)], FRAMES_KEPT)
@@ -252,6 +256,11 @@ class World:
         with self._lock:
             self._change(object_present=present)
 
+    def hold(self, sheet: HeldSheet | None) -> None:
+        """Hold a sheet before the camera, or take it away."""
+        with self._lock:
+            self._held = sheet
+
     def is_wet(self) -> bool:
         """Tell whether the display side of the object is immersed."""
         with self._lock:
@@ -293,7 +302,7 @@ class World:
             self.disturbed_photos += disturbed
             state = self._state
             wet, unrest = self.is_wet(), self.unrest.at(self.clock.now_s())
-            return Sight(frame, frame_id, self.stage_mm(), wet, state.object_present, disturbed, unrest)
+            return Sight(frame, frame_id, self.stage_mm(), wet, state.object_present, disturbed, unrest, self._held)
 
     def state(self) -> WorldState:
         """Return liquid, stage and object as they are now."""

@@ -29,7 +29,7 @@ from recon.sessions.manifest import CameraBody, CoverGlass, DisplayPanel
 def assemble(
     lens: LensEstimate,
     poses: BundleResult,
-    geometry: Geometry,
+    geometry: Geometry | None,
     *,
     board: Board,
     layout: str,
@@ -43,12 +43,13 @@ def assemble(
     Parameters
     ----------
     poses : of :func:`~recon.calibration.display_poses.display_poses`, or of :func:`~recon.calibration.wet_pose.wet_poses`.
-    geometry : the object whose points the quality is told for (:func:`~recon.calibration.fep_error.dome_geometry`).
+    geometry : the object whose points the quality is told for (:func:`~recon.calibration.fep_error.dome_geometry`);
+        without one it is not told.
     layout : which layout of the board was found (``view.layout``).
     camera, display : as configured; what was measured of them replaces their numbers.
     """
     places, covariance = measured_poses(poses)
-    error = fep_error(geometry, poses)
+    error = fep_error(geometry, poses) if geometry is not None else None
     corners = sum(len(kept) for kept in poses.kept)
     return Calibration(
         schema_version=1,
@@ -80,10 +81,10 @@ def assemble(
             corner_sd_px=poses.corner_sd_px,
             corners=corners,
             corners_dropped=poses.dropped(),
-            fep_error_mm=error.rms_mm,
-            fep_display_error_mm=error.display_rms_mm,
-            fep_shape_error_mm=error.shape_rms_mm,
-            normal_error_deg=float(np.degrees(error.normal_rms_rad)),
+            fep_error_mm=error.rms_mm if error else None,
+            fep_display_error_mm=error.display_rms_mm if error else None,
+            fep_shape_error_mm=error.shape_rms_mm if error else None,
+            normal_error_deg=float(np.degrees(error.normal_rms_rad)) if error else None,
             pitch_sd_share=_sd_of(poses, SCALE),
             cover_glass_sd_mm=_sd_of(poses, GLASS),
         ),
@@ -111,9 +112,9 @@ def _sd_of(poses: BundleResult, name: str) -> float | None:
     return float(np.sqrt(poses.covariance_of(name)[0, 0])) if name in poses.table.parts else None
 
 
-def _level(poses: BundleResult, geometry: Geometry) -> MeasuredLevel | None:
+def _level(poses: BundleResult, geometry: Geometry | None) -> MeasuredLevel | None:
     liquid = poses.state.liquid
-    if liquid is None:
+    if liquid is None or geometry is None:
         return None
     down = tuple(float(number) for number in liquid.down)
     return MeasuredLevel(n=geometry.n_liquid, down=(down[0], down[1], down[2]), distance_mm=liquid.distance_mm)

@@ -4,7 +4,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from jaxtyping import Float64, Int64
+from jaxtyping import Bool, Float64, Int64
 
 from recon.calibration.detection import BoardView
 from recon.calibration.sight_line import PanelPose
@@ -46,15 +46,27 @@ class Coverage:
         return float((self.corners > 0).mean())
 
 
-def coverage(views: Sequence[BoardView], poses: Sequence[PanelPose], *, columns: int, rows: int) -> Coverage:
-    """Return what views of a board with these poses cover of a photo of ``columns`` by ``rows``."""
-    place_px = np.concatenate([view.place_px for view in views])
+def corner_counts(views: Sequence[BoardView], *, columns: int, rows: int) -> Int64[np.ndarray, "down across"]:
+    """Return how many corners of all views fell in each cell of a photo of ``columns`` by ``rows``."""
+    place_px = np.concatenate([np.zeros((0, 2)), *(view.place_px for view in views)])
     counts, _, _ = np.histogram2d(
         place_px[:, 1],
         place_px[:, 0],
         bins=(CELLS_DOWN, CELLS_ACROSS),
         range=((-0.5, rows - 0.5), (-0.5, columns - 0.5)),
     )
+    return counts.astype(np.int64)
+
+
+def covered_ninths(corners: Int64[np.ndarray, "down across"]) -> Bool[np.ndarray, "3 3"]:
+    """Tell of each ninth of the photo whether at least half of its cells have corners."""
+    parts = [np.array_split(row, 3, axis=1) for row in np.array_split(corners > 0, 3, axis=0)]
+    return np.array([[part.mean() >= 0.5 for part in row] for row in parts])
+
+
+def coverage(views: Sequence[BoardView], poses: Sequence[PanelPose], *, columns: int, rows: int) -> Coverage:
+    """Return what views of a board with these poses cover of a photo of ``columns`` by ``rows``."""
+    place_px = np.concatenate([view.place_px for view in views])
     from_middle = np.linalg.norm(place_px - [(columns - 1) / 2, (rows - 1) / 2], axis=1)
     tilt = np.array([[np.arcsin(-pose.rotation[0, 2]), np.arcsin(pose.rotation[1, 2])] for pose in poses])
     middle = [
@@ -62,7 +74,7 @@ def coverage(views: Sequence[BoardView], poses: Sequence[PanelPose], *, columns:
         for view, pose in zip(views, poses, strict=True)
     ]
     return Coverage(
-        corners=counts.astype(np.int64),
+        corners=corner_counts(views, columns=columns, rows=rows),
         farthest_share=float(from_middle.max() / (0.5 * np.hypot(columns, rows))),
         tilt_rad=tilt,
         distance_mm=np.linalg.norm(middle, axis=1),
@@ -83,11 +95,8 @@ def advice(found: Coverage) -> tuple[str, ...]:
 
 def _missing_places(found: Coverage) -> list[str]:
     """Name the ninths of the photo that are mostly empty."""
-    empty = []
-    for down, row in enumerate(np.array_split(found.corners, 3, axis=0)):
-        for across, ninth in enumerate(np.array_split(row, 3, axis=1)):
-            if (ninth > 0).mean() < 0.5:
-                empty.append(PLACES[down][across])
+    covered = covered_ninths(found.corners)
+    empty = [PLACES[down][across] for down in range(3) for across in range(3) if not covered[down, across]]
     if not empty:
         return []
     return [

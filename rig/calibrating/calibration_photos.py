@@ -15,19 +15,24 @@ from rig.capturing.exposure_check import exposure_of_jpeg, exposure_of_settings
 from rig.capturing.photo_taker import PHOTO_TIMEOUT_S, SHOW_TIMEOUT_S
 from rig.capturing.tag_check import DECODABLE
 from rig.config import RigConfig
+from rig.errors import ConfigError
 
 LARGEST_FRAME_ID = 65535
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Taken:
-    """One photo: its counts, when its shutter was told to open, and how long after the command to show its frame."""
+    """One photo: its counts, when its shutter was told to open, and how long after the command to show its frame.
+
+    ``name`` is that of its file (0003).
+    """
 
     grey: np.ndarray
     opened_s: float
     after_s: float
     exposure_s: float | None
     file: Photo
+    name: str
 
     def colours(self) -> np.ndarray | None:
         """Return the planes blue, green and red [rows, cols, 3]; None where the file cannot be decoded so."""
@@ -63,21 +68,28 @@ class CalibrationCamera:
 
     def show(self, frame: Frame) -> None:
         """Show any frame; returns when the display says that it is done."""
-        clock = self._devices.clock
+        clock, display = self._devices.clock, self._devices.display
+        if display is None:
+            raise ConfigError("no display was opened, so it cannot show anything; name one in the section [devices]")
         self._frame_id = (self._frame_id + 1) % (LARGEST_FRAME_ID + 1)
         self._commanded_s = clock.now_s()
-        self._devices.display.show(frame, frame_id=self._frame_id, timeout_s=SHOW_TIMEOUT_S)
+        display.show(frame, frame_id=self._frame_id, timeout_s=SHOW_TIMEOUT_S)
         self.acknowledged_s.append(clock.now_s() - self._commanded_s)
 
-    def take(self, shows: str, *, after_s: float = 0.0) -> Taken:
-        """Photograph what is shown, no sooner than ``after_s`` after it was commanded, and keep the photo."""
+    def take(self, shows: str, *, after_s: float = 0.0, primary: str | None = None, **facts: object) -> Taken:
+        """Photograph what is shown, no sooner than ``after_s`` after it was commanded, and keep the photo.
+
+        It is decoded in the colour ``primary``, the display's where none is given; ``facts`` go into its journal line.
+        """
         clock = self._devices.clock
         clock.sleep_s(self._commanded_s + after_s - clock.now_s())
         opened_s = clock.now_s()
         self._devices.camera.expose(timeout_s=PHOTO_TIMEOUT_S)
         files = self._devices.camera.collect(timeout_s=PHOTO_TIMEOUT_S)
         since_s = opened_s - self._commanded_s
-        self._folder.save(files, shows=shows, opened_s=opened_s, after_s=since_s, settings=self.settings)
+        name = self._folder.save(
+            files, shows=shows, opened_s=opened_s, after_s=since_s, settings=self.settings, **facts
+        )
         file = next((file for file in files if file.suffix.lower() in DECODABLE), None)
         if file is None:
             raise DeviceProtocolError(
@@ -85,9 +97,10 @@ class CalibrationCamera:
             )
         said = exposure_of_jpeg(file.data).time_s
         return Taken(
-            grey=decode_grey(file.data, Path(file.name or shows), primary=self._config.display.primary),
+            grey=decode_grey(file.data, Path(file.name or shows), primary=primary or self._config.display.primary),
             opened_s=opened_s,
             after_s=since_s,
             exposure_s=said or exposure_of_settings(self.settings).time_s,
             file=file,
+            name=name,
         )

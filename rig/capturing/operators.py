@@ -24,13 +24,13 @@ class ConsoleOperator:
 
     def do(self, request: Request, text: str) -> None:  # noqa: ARG002  (the text says it all)
         """Show the text and wait for the return key."""
-        _answer(f"{text}\nPress return when it is done. ")
+        answered(f"{text}\nPress return when it is done. ")
 
     def tank_ml(self, *, fill_ml: float) -> float:
         """Ask until the answer is a volume."""
         question = f"How much liquid is in the tank, in ml? (0 = empty, {fill_ml:g} = filled) "
         while True:
-            answer = _answer(question)
+            answer = answered(question)
             try:
                 volume_ml = float(answer)
             except ValueError:
@@ -40,7 +40,8 @@ class ConsoleOperator:
             question = f"{answer!r} is not a volume; a number from 0 upwards, please: "
 
 
-def _answer(question: str) -> str:
+def answered(question: str) -> str:
+    """Ask a person and return one line; an error where nobody is at the terminal."""
     if not sys.stdin.isatty():
         raise CaptureError(
             f"a person has to answer ({question.strip().splitlines()[0]!r}), but nobody is at this terminal; "

@@ -22,6 +22,7 @@ class Simulation:
     """How to simulate: the scene, whether time passes as in a lab, and where the tank's state is kept between runs.
 
     ``wire``: the real drivers drive emulated devices, in place of simulated ones; ``camera_model`` is the camera then.
+    ``own_noise``: every photo has noise of its own, as several photos of the same thing need.
     """
 
     scene: Scene
@@ -29,6 +30,7 @@ class Simulation:
     state_file: Path | None = None
     wire: bool = False
     camera_model: Model = "generic"
+    own_noise: bool = False
 
 
 @contextmanager
@@ -41,7 +43,7 @@ def open_world(config: RigConfig, simulation: Simulation) -> Iterator[World]:
     delay_s = simulation.scene.display.latency_s
     if simulation.state_file is None:
         yield from _lasting_as_long_as_asked(
-            new_world(config, _clock(simulation), fresh_state(config), light_delay_s=delay_s)
+            new_world(config, _clock(simulation), fresh_state(config), light_delay_s=delay_s), simulation
         )
         return
     ledger = ledger_file(simulation)
@@ -55,13 +57,15 @@ def open_world(config: RigConfig, simulation: Simulation) -> Iterator[World]:
     file.keep(state)
     try:
         yield from _lasting_as_long_as_asked(
-            new_world(config, clock, state, on_change=file.keep, light_delay_s=delay_s)
+            new_world(config, clock, state, on_change=file.keep, light_delay_s=delay_s), simulation
         )
     finally:
         file.close()
 
 
-def _lasting_as_long_as_asked(world: World) -> Iterator[World]:
+def _lasting_as_long_as_asked(world: World, simulation: Simulation) -> Iterator[World]:
+    if simulation.own_noise:
+        world.unrest.renew_noise()
     try:
         yield world
     finally:
@@ -117,6 +121,11 @@ class SimulatedOperator:
 
     def __init__(self, world: World) -> None:
         self._world = world
+
+    @property
+    def world(self) -> World:
+        """Where this person is."""
+        return self._world
 
     def do(self, request: Request, text: str) -> None:  # noqa: ARG002  (the request says it all)
         """Do it in the simulated world."""

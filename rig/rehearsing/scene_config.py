@@ -42,6 +42,11 @@ TIMING = {
 PHOTO_BYTES_PER_PIXEL = 0.1
 # The object's outline is traced in a photo of this width: an edge that is a pixel or two off belongs to no part anyway.
 OUTLINE_COLUMNS = 160
+# How well the simulated stage's way is said to be known.
+TRAVEL_SD_MM = 0.02
+# Boards: the printed one's share of the photo, and the side of a square in the photo from which its marker is read for certain.
+PRINTED_SHARE = 0.6
+SQUARE_SEEN_PX = 33.0
 
 
 @dataclass(frozen=True, slots=True)
@@ -121,6 +126,7 @@ def config_of_scene(scene: Scene, options: SceneOptions) -> RigConfig:
                 "travel_mm": (min(0.0, low_mm - STAGE_MARGIN_MM), high_mm + STAGE_MARGIN_MM),
                 "velocity_mm_per_s": STAGE_VELOCITY_MM_PER_S,
             },
+            "calibrate": _calibrate(scene),
             "timing": {**TIMING, "photo_mb": pixels * PHOTO_BYTES_PER_PIXEL / 1e6},
         },
         source=f"scene {scene.name}",
@@ -133,6 +139,27 @@ def _live(scene: Scene) -> dict[str, object]:
         return {}
     nearer_mm = min(abs(place_mm - scene.liquid_level_mm) for place_mm in scene.stage_positions_mm)
     return {"object_distance_mm": nearer_mm}
+
+
+def _calibrate(scene: Scene) -> dict[str, object]:
+    """Return boards whose squares are large enough to be read: the printed one takes 0.6 of the photo's width at the display."""
+    camera, panel = scene.camera, scene.display
+    away_mm = [
+        float(np.linalg.norm(scene.display_pose_at(place_mm).centre_mm - np.array(camera.position_mm)))
+        for place_mm in scene.stage_positions_mm
+    ]
+    # The farthest pose of a hand shows the board on 0.45 of the photo's width.
+    across = int(np.clip(0.45 * camera.columns / SQUARE_SEEN_PX, 5, 9))
+    squares = (across, max(4, round(across * 2 / 3)))
+    # Squares on the display are whole tens of device pixels, as their markers have six tenths of them.
+    device_px_seen = SQUARE_SEEN_PX * max(away_mm) / (camera.focal_x_px * panel.pitch_mm)
+    along = max(panel.columns, panel.rows) // (10 * int(np.ceil(device_px_seen / 10)))
+    return {
+        "squares": squares,
+        "square_mm": float(np.round(PRINTED_SHARE * camera.columns * min(away_mm) / camera.focal_x_px / squares[0], 3)),
+        "squares_along": int(np.clip(along, 4, 16)),
+        "travel_sd_mm": TRAVEL_SD_MM,
+    }
 
 
 def watch_of_scene(scene: Scene) -> dict[str, object]:
