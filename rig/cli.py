@@ -32,7 +32,7 @@ from rig.planning.plan import plan_capture
 from rig.planning.plan_table import print_plan
 from rig.planning.steps import step_text
 from rig.rehearsing.scene_config import SceneOptions, config_of_scene, open_scene
-from rig.rehearsing.simulate import simulate_session
+from rig.rehearsing.simulate import simulate_session, simulate_truth
 from sim_backend.scene import load_scene, scene_names
 
 app = typer.Typer(
@@ -142,6 +142,9 @@ def simulate(
     seed: options.SeedOption = None,
     code: options.CodeOption = None,
     workers: Annotated[int, typer.Option("--workers", min=1, help="Threads that compute photos.")] = 2,
+    truth_only: Annotated[
+        bool, typer.Option("--truth-only", help="Write manifest and truth, and no photo.")
+    ] = False,
 ) -> None:
     """Write a simulated session with its truth.
 
@@ -149,6 +152,10 @@ def simulate(
     """
     changes = SceneOptions(profile, width_px, step_px, order, size, display_columns, seed, code=code)
     opened = open_scene(scene, changes)
+    if truth_only:
+        simulate_truth(opened, config_of_scene(opened, changes), folder)
+        console.print(f"{folder}: manifest and truth, no photos", markup=False)
+        return
     count = simulate_session(opened, config_of_scene(opened, changes), folder, workers=workers, console=console)
     console.print(f"{folder}: {count} photos and their truth", markup=False)
 

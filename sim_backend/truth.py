@@ -1,5 +1,6 @@
 """What a reconstruction should find: the true last exit point and normal behind the centre of each pixel."""
 
+from collections.abc import Mapping
 from dataclasses import dataclass
 from enum import IntEnum
 from pathlib import Path
@@ -36,23 +37,33 @@ class Truth:
     point_mm: Float64[np.ndarray, "rows columns 3"]
     normal: Float64[np.ndarray, "rows columns 3"]
     status: UInt8[np.ndarray, "rows columns"]
+    place_px: Mapping[str, Float64[np.ndarray, "rows columns 2"]]
 
 
 def compute_truth(scene: Scene) -> Truth:
     """Trace the centre of each pixel, dry and wet (or with and without a thin object), to both display positions."""
     through = pixel_centre_paths(scene, scene.world(wet=False))
-    other_world = scene.world(wet=True) if scene.method == "liquid" else scene.world(wet=False, object_present=False)
+    liquid = scene.method == "liquid"
+    other_world = scene.world(wet=True) if liquid else scene.world(wet=False, object_present=False)
     other = pixel_centre_paths(scene, other_world)
+    conditions = {"air": through, "liquid": other} if liquid else {"with": through, "without": other}
     found = [through.trapped, other.trapped]
     away = scene.display_pose_at(0.0).away()
     lost = np.logical_or.reduce(found) | (through.direction @ away <= 0) | (other.direction @ away <= 0)
-    if scene.method == "liquid":
+    if liquid:
         lost |= _leaves_elsewhere(scene, through, other)
+    shape = (scene.camera.rows, scene.camera.columns)
     seen = np.ones(len(lost), bool)
-    for paths in (through, other):
-        for position in scene.stage_positions_mm:
-            hits = meet_display(scene, position, paths.origin, paths.direction, paths.n)
-            seen &= on_panel(scene, hits.x_mm, hits.y_mm)
+    place_px = {}
+    for condition, paths in conditions.items():
+        for position, stage_mm in enumerate(scene.stage_positions_mm):
+            hits = meet_display(scene, stage_mm, paths.origin, paths.direction, paths.n)
+            lit = on_panel(scene, hits.x_mm, hits.y_mm)
+            place = np.stack([hits.x_mm, hits.y_mm], axis=1)
+            place_px[f"pos{position}_{condition}"] = np.where(
+                (lit & ~paths.trapped)[:, None], place, np.nan
+            ).reshape(*shape, 2)
+            seen &= lit
     touches = through.touched_object() | through.trapped
     status = np.select(
         [~touches, lost, ~seen],
@@ -60,11 +71,11 @@ def compute_truth(scene: Scene) -> Truth:
         TruthStatus.JUDGED,
     ).astype(np.uint8)
     judged = (status == TruthStatus.JUDGED)[:, None]
-    shape = (scene.camera.rows, scene.camera.columns)
     return Truth(
         np.where(judged, through.exit_point, np.nan).reshape(*shape, 3),
         np.where(judged, through.exit_normal, np.nan).reshape(*shape, 3),
         status.reshape(shape),
+        place_px,
     )
 
 
@@ -78,5 +89,6 @@ def _leaves_elsewhere(scene: Scene, dry: Paths, wet: Paths) -> Bool[np.ndarray, 
 
 
 def save_truth(truth: Truth, path: Path) -> None:
-    """Write ``truth.npz`` with ``point_mm``, ``normal`` and ``status``."""
-    np.savez_compressed(path, point_mm=truth.point_mm, normal=truth.normal, status=truth.status)
+    """Write ``truth.npz`` with ``point_mm``, ``normal``, ``status``, and ``place_px_SET`` for each set."""
+    places = {f"place_px_{name}": place for name, place in truth.place_px.items()}
+    np.savez_compressed(path, point_mm=truth.point_mm, normal=truth.normal, status=truth.status, **places)

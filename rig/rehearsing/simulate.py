@@ -56,6 +56,13 @@ def simulate_session(scene: Scene, config: RigConfig, folder: Path, *, workers: 
     return len(photos)
 
 
+def simulate_truth(scene: Scene, config: RigConfig, folder: Path) -> None:
+    """Write manifest and truth of a session into ``folder``, without a single photo: what studies of geometry need."""
+    manifest = manifest_of(config, devices={"simulator": SIMULATED_DEVICE}, scene=scene)
+    with SessionWriter.create(folder, manifest, disk=Disk(durable=False)):
+        save_truth(Photographer(scene).truth(), folder / TRUTH_NAME)
+
+
 @contextmanager
 def worker_pool(workers: int) -> Iterator[ThreadPoolExecutor]:
     """Give a pool of threads that drops what is not begun when an error or Ctrl-C ends the work."""
