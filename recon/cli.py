@@ -17,6 +17,7 @@ from recon.running.settings import Settings
 from recon.sessions.importer import import_folder, read_layout
 from recon.sessions.session import open_session
 from recon.sessions.wholeness import faults
+from recon.study.command import register as register_study
 from recon.sweeps.correspondence import Method
 from recon.view import register as register_view
 
@@ -136,6 +137,7 @@ def validate(session: SessionFolder) -> None:
 
 
 evaluation_command.register(app)
+register_study(app)
 register_view(app)
 
 

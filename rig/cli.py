@@ -142,9 +142,7 @@ def simulate(
     seed: options.SeedOption = None,
     code: options.CodeOption = None,
     workers: Annotated[int, typer.Option("--workers", min=1, help="Threads that compute photos.")] = 2,
-    truth_only: Annotated[
-        bool, typer.Option("--truth-only", help="Write manifest and truth, and no photo.")
-    ] = False,
+    truth_only: Annotated[bool, typer.Option("--truth-only", help="Write manifest and truth, and no photo.")] = False,
 ) -> None:
     """Write a simulated session with its truth.
 

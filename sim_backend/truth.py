@@ -4,6 +4,7 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 from enum import IntEnum
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 from jaxtyping import Bool, Float64, UInt8
@@ -60,9 +61,9 @@ def compute_truth(scene: Scene) -> Truth:
             hits = meet_display(scene, stage_mm, paths.origin, paths.direction, paths.n)
             lit = on_panel(scene, hits.x_mm, hits.y_mm)
             place = np.stack([hits.x_mm, hits.y_mm], axis=1)
-            place_px[f"pos{position}_{condition}"] = np.where(
-                (lit & ~paths.trapped)[:, None], place, np.nan
-            ).reshape(*shape, 2)
+            place_px[f"pos{position}_{condition}"] = np.where((lit & ~paths.trapped)[:, None], place, np.nan).reshape(
+                *shape, 2
+            )
             seen &= lit
     touches = through.touched_object() | through.trapped
     status = np.select(
@@ -90,5 +91,6 @@ def _leaves_elsewhere(scene: Scene, dry: Paths, wet: Paths) -> Bool[np.ndarray, 
 
 def save_truth(truth: Truth, path: Path) -> None:
     """Write ``truth.npz`` with ``point_mm``, ``normal``, ``status``, and ``place_px_SET`` for each set."""
-    places = {f"place_px_{name}": place for name, place in truth.place_px.items()}
-    np.savez_compressed(path, point_mm=truth.point_mm, normal=truth.normal, status=truth.status, **places)
+    arrays: dict[str, Any] = {"point_mm": truth.point_mm, "normal": truth.normal, "status": truth.status}
+    arrays |= {f"place_px_{name}": place for name, place in truth.place_px.items()}
+    np.savez_compressed(path, **arrays)

@@ -1,1 +1,1 @@
-"""The published experiments, each as one command: simulated, reconstructed by both methods, and set beside the paper's figures."""
+"""The published experiments, each as one command: simulated, run by both methods, beside the paper's figures."""

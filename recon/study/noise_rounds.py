@@ -21,7 +21,10 @@ Sweeps = dict[tuple[str, str], SweepResult]
 
 @dataclass(frozen=True, slots=True)
 class MethodErrors:
-    """Errors of one method over all rounds. ``kept`` is the share of judged pixels that pass the paper's tests and have a point."""
+    """Errors of one method over all rounds.
+
+    ``kept`` is the share of judged pixels that pass the paper's tests and have a point.
+    """
 
     position_rms: float
     normal_rms_deg: float

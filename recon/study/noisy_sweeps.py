@@ -50,9 +50,7 @@ def load_true_session(folder: Path) -> TrueSession:
     return TrueSession(manifest, truth, places)
 
 
-def noisy_sweeps(
-    session: TrueSession, *, sd_px: float, rng: np.random.Generator
-) -> dict[tuple[str, str], SweepResult]:
+def noisy_sweeps(session: TrueSession, *, sd_px: float, rng: np.random.Generator) -> dict[tuple[str, str], SweepResult]:
     """Return all sweeps with independent Gaussian noise of ``sd_px`` device pixels on each coordinate, which they state."""
     sweeps = {}
     for one in session.manifest.sets:

@@ -1,13 +1,28 @@
-"""The paper's synthetic scenes (section 5.1 of Han, Wong, Liu, IJCV 2018), in its own scene units.
+"""The synthetic scenes of Han, Wong, Liu (IJCV 2018), in the paper's own scene units.
 
-All share a display of 32 × 32 units with stripes of 1/32 unit and a perspective camera of 1,024 × 1,024 pixels. Where the paper gives
-no place for camera or display, ours are named in the function's docstring.
+All share a display of 32 × 32 units with stripes of 1/32 unit and a perspective camera of 1,024 × 1,024 pixels. Where the
+paper gives no place for camera or display, ours are named in the function's docstring.
 """
+
+from dataclasses import dataclass
 
 from recon.study.simulator import Scene
 
 DISPLAY_UNITS = 32.0
 DISPLAY_PIXELS = 1024  # stripes of 1/32 unit
+
+
+@dataclass(frozen=True, slots=True)
+class HalfBall:
+    """The half ball of the study of total reflection, in scene units; it is ours, the paper gives only its critical angle."""
+
+    radius: float = 10.0
+    n_object: float = 1.5
+    distance: float = 60.0  # of the camera from the flat face
+    half_field: float = 10.5
+
+
+HALF_BALL = HalfBall()
 
 
 def semi_ellipsoid(*, size: int, stage: tuple[float, float], n_liquid: float) -> Scene:
@@ -18,7 +33,7 @@ def semi_ellipsoid(*, size: int, stage: tuple[float, float], n_liquid: float) ->
         "liquid": f"liquid of index {n_liquid}",
         "liquid_level_mm": 0.0,
         "specimen": {"kind": "semi_ellipsoid", "semi_axes_mm": [12.5, 12.5, 5.0]},
-        "camera": _camera(size, distance=60.0, half_field=12.8, at=0.0),
+        "camera": _camera(size, distance=60.0, half_field=12.8),
     }
 
 
@@ -36,7 +51,20 @@ def concave_cone(*, size: int) -> Scene:
             "cone_height_mm": 4.0,
             "cone_radius_mm": 10.0,
         },
-        "camera": _camera(size, distance=70.0, half_field=6.4, at=0.0),
+        "camera": _camera(size, distance=70.0, half_field=6.4),
+    }
+
+
+def half_ball(*, size: int) -> Scene:
+    """Return the half ball with its flat face to the camera, in water, the display 14 and 22 beyond the face."""
+    ball = HALF_BALL
+    return {
+        **_common("half_ball", method="liquid", n_object=ball.n_object, stage=(14.0, 22.0)),
+        "n_liquid": 1.33,
+        "liquid": "water",
+        "liquid_level_mm": 0.0,
+        "specimen": {"kind": "hemisphere", "radius_mm": ball.radius},
+        "camera": _camera(size, distance=ball.distance, half_field=ball.half_field),
     }
 
 
@@ -45,7 +73,7 @@ def thin_cone(*, size: int, padding: float) -> Scene:
     return {
         **_common("thin_cone", method="thin", n_object=1.7, stage=(20.0, 30.0)),
         "specimen": {"kind": "thin_cone", "height_mm": 1.0, "radius_mm": 4.0, "padding_mm": padding},
-        "camera": _camera(size, distance=60.0, half_field=4.8, at=0.0),
+        "camera": _camera(size, distance=60.0, half_field=4.8),
     }
 
 
@@ -54,7 +82,7 @@ def thin_shell(*, size: int, shift: float) -> Scene:
     return {
         **_common("thin_shell", method="thin", n_object=1.7, stage=(20.0, 30.0)),
         "specimen": {"kind": "thin_shell", "radius_mm": 10.0, "shift_mm": shift},
-        "camera": _camera(size, distance=60.0, half_field=11.0, at=0.0),
+        "camera": _camera(size, distance=60.0, half_field=11.0),
     }
 
 
@@ -73,13 +101,13 @@ def _common(name: str, *, method: str, n_object: float, stage: tuple[float, floa
     }
 
 
-def _camera(size: int, *, distance: float, half_field: float, at: float) -> dict[str, object]:
-    """Return a square camera that sees ``half_field`` to each side at z = ``at``."""
+def _camera(size: int, *, distance: float, half_field: float) -> dict[str, object]:
+    """Return a square camera that sees ``half_field`` to each side of the axis at z = 0."""
     focal_px = size / 2 * distance / half_field
     return {
         "columns": size,
         "rows": size,
-        "position_mm": [0.0, 0.0, at - distance],
+        "position_mm": [0.0, 0.0, -distance],
         "focal_x_px": focal_px,
         "focal_y_px": focal_px,
         "centre_x_px": (size - 1) / 2,

@@ -16,13 +16,13 @@ KEY_NAME = "simulated.txt"
 Scene = Mapping[str, object]
 
 
-def simulated(scene: Scene, folder: Path, *, options: Sequence[str] = ()) -> Path:
+def simulated(scene: Scene | str, folder: Path, *, options: Sequence[str] = ()) -> Path:
     """Return the session of a scene in ``folder``, simulated now unless the same one is there already.
 
     Parameters
     ----------
     scene
-        Contents of a scene file (``docs/how-to/write-a-scene.md``): tables of plain values.
+        Contents of a scene file (``docs/how-to/write-a-scene.md``), tables of plain values; or a name from ``rig scenes``.
     folder
         Gets ``scene.toml`` and the folder ``session``.
     options
@@ -33,21 +33,25 @@ def simulated(scene: Scene, folder: Path, *, options: Sequence[str] = ()) -> Pat
     ReconError
         Where the program is not there, or says why it cannot.
     """
-    text = toml_text(scene)
+    text = scene if isinstance(scene, str) else toml_text(scene)
     key = hashlib.sha256("\0".join([text, *options]).encode()).hexdigest()
     session, stamp = folder / "session", folder / KEY_NAME
     if stamp.is_file() and stamp.read_text(encoding="utf-8") == key and session.is_dir():
         return session
     if session.exists():
-        raise ReconError(f"{session}: holds another simulation than this study needs; choose a new folder, or delete it")
+        raise ReconError(
+            f"{session}: holds another simulation than this study needs; choose a new folder, or delete it"
+        )
     folder.mkdir(parents=True, exist_ok=True)
-    file = folder / SCENE_NAME
-    file.write_text(text, encoding="utf-8")
+    asked = text
+    if not isinstance(scene, str):
+        asked = str(folder / SCENE_NAME)
+        Path(asked).write_text(text, encoding="utf-8")
     ran = subprocess.run(
-        [program(), "simulate", str(file), str(session), *options], capture_output=True, text=True, check=False
+        [program(), "simulate", asked, str(session), *options], capture_output=True, text=True, check=False
     )
     if ran.returncode != 0:
-        raise ReconError(f"rig simulate {file}: {ran.stderr.strip() or f'ended with {ran.returncode}'}")
+        raise ReconError(f"rig simulate {asked}: {ran.stderr.strip() or f'ended with {ran.returncode}'}")
     stamp.write_text(key, encoding="utf-8")
     return session
 

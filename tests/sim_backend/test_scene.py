@@ -10,7 +10,7 @@ import pytest
 from sim_backend.light_paths import meet_display, pixel_centre_paths
 from sim_backend.photography import Photographer
 from sim_backend.scene import Scene, SceneError, SceneVariation, load_scene, scene_names
-from sim_backend.truth import Truth, TruthStatus, save_truth
+from sim_backend.truth import Truth, TruthStatus, compute_truth, save_truth
 
 HEMISPHERE = Path(__file__).parents[2] / "sim_backend" / "scenes" / "hemisphere.toml"
 
@@ -239,6 +239,24 @@ def test_the_truth_file_holds_points_normals_and_status(tmp_path: Path) -> None:
     truth = small_truth("hemisphere")
     save_truth(truth, tmp_path / "truth.npz")
     with np.load(tmp_path / "truth.npz") as stored:
-        assert sorted(stored) == ["normal", "point_mm", "status"]
+        sets = [f"pos{position}_{condition}" for position in (0, 1) for condition in ("air", "liquid")]
+        assert sorted(stored) == ["normal", *(f"place_px_{name}" for name in sets), "point_mm", "status"]
         np.testing.assert_array_equal(stored["point_mm"], truth.point_mm)
         assert np.isnan(stored["point_mm"][stored["status"] != 0]).all()
+
+
+def test_true_places_beside_the_object_are_where_the_pinhole_ray_meets_the_display() -> None:
+    scene = load_scene("hemisphere").resized(camera_columns=24, display_columns=None)
+    truth = compute_truth(scene)
+    camera, panel = scene.camera, scene.display
+    row, column = np.nonzero(
+        (truth.status == TruthStatus.MISSES_OBJECT) & np.isfinite(truth.place_px["pos1_air"][..., 0])
+    )
+    assert len(row) > 4
+    depth_mm = scene.stage_positions_mm[1] - camera.position_mm[2]
+    x_mm = camera.position_mm[0] + depth_mm * (column - camera.centre_x_px) / camera.focal_x_px
+    y_mm = camera.position_mm[1] + depth_mm * (row - camera.centre_y_px) / camera.focal_y_px
+    place = np.stack(
+        [x_mm / panel.pitch_mm + (panel.columns - 1) / 2, y_mm / panel.pitch_mm + (panel.rows - 1) / 2], axis=1
+    )
+    np.testing.assert_allclose(truth.place_px["pos1_air"][row, column], place, atol=1e-9)

@@ -1,0 +1,108 @@
+"""The ``recon study`` command: repeat the published experiments, one or all."""
+
+import time
+from pathlib import Path
+from typing import Annotated
+
+import typer
+from pydantic import ValidationError
+from rich.console import Console
+from rich.table import Table
+
+from recon.errors import ReconError
+from recon.study.catalogue import EXPERIMENTS
+from recon.study.experiment import Experiment, StudySize, named
+from recon.study.study_page import PAGE_NAME, page_of
+from recon.study.study_result import StudyResult, StudyTable, cell_text, markdown
+
+ALL = "all"
+MARKDOWN_NAME = "study.md"
+
+
+def register(app: typer.Typer) -> None:
+    """Add ``study`` to the ``recon`` command."""
+    app.command("study")(study_command)
+
+
+def study_command(
+    name: Annotated[
+        str | None, typer.Argument(metavar="NAME", help="Which experiment, or `all`; without a name they are listed.")
+    ] = None,
+    out: Annotated[Path, typer.Option(help="Folder for simulated sessions, results and the page.")] = Path("study"),
+    size: Annotated[
+        int | None,
+        typer.Option(min=16, metavar="COLUMNS", help="Camera columns. The paper: 1024, and 3888 for real objects."),
+    ] = None,
+    rounds: Annotated[
+        int | None, typer.Option(min=1, help="Rounds of noise, where there are any. The paper: 500.")
+    ] = None,
+    seed: Annotated[int, typer.Option(min=0, help="Start of the random numbers.")] = 0,
+) -> None:
+    """Repeat the published experiments with both methods, beside the published figures.
+
+    Needs the simulator (`rig simulate`). Writes a page, tables and JSON.
+    """
+    console = Console(soft_wrap=True, highlight=False)
+    if name is None:
+        _list(console)
+        return
+    chosen = EXPERIMENTS if name == ALL else (_experiment(name),)
+    for experiment in chosen:
+        result = _run(experiment, out, StudySize(size, rounds, seed), console)
+        (out / f"{experiment.name}.json").write_text(result.model_dump_json(indent=1) + "\n", encoding="utf-8")
+        for table in result.tables:
+            _show(table, console)
+        write_page(out)
+    console.print(f"{out / PAGE_NAME}: curves and tables; {MARKDOWN_NAME} and JSON beside it", markup=False)
+
+
+def write_page(out: Path) -> None:
+    """Write the page and its Markdown of every result that the folder holds."""
+    results = []
+    for experiment in EXPERIMENTS:
+        file = out / f"{experiment.name}.json"
+        if file.is_file():
+            try:
+                results.append(StudyResult.model_validate_json(file.read_text(encoding="utf-8")))
+            except ValidationError as error:
+                raise ReconError(f"{file}: not the result of a study ({error.errors()[0]['msg']}); delete it") from None
+    (out / PAGE_NAME).write_text(page_of(results), encoding="utf-8")
+    (out / MARKDOWN_NAME).write_text("\n".join(markdown(result) for result in results), encoding="utf-8")
+
+
+def _run(experiment: Experiment, out: Path, size: StudySize, console: Console) -> StudyResult:
+    console.print(f"{experiment.name}: {experiment.title}", markup=False)
+    out.mkdir(parents=True, exist_ok=True)
+    begun_s = time.monotonic()
+    found = experiment.run(out, size, lambda text: console.print(f"  {text}", markup=False))
+    given = {"--size": size.columns, "--rounds": size.rounds, "--seed": size.seed or None}
+    words = [f"{option} {value}" for option, value in given.items() if value is not None]
+    return StudyResult(
+        name=experiment.name,
+        title=experiment.title,
+        setting=found.setting,
+        command=" ".join(["recon study", experiment.name, *words]),
+        seconds=time.monotonic() - begun_s,
+        tables=found.tables,
+        figures=found.figures,
+    )
+
+
+def _experiment(name: str) -> Experiment:
+    found = named(EXPERIMENTS, name)
+    if found is None:
+        known = ", ".join([*(one.name for one in EXPERIMENTS), ALL])
+        raise ReconError(f"there is no study named {name!r}; choose one of: {known}")
+    return found
+
+
+def _list(console: Console) -> None:
+    for one in EXPERIMENTS:
+        console.print(f"{one.name:18} {one.title}", markup=False)
+
+
+def _show(table: StudyTable, console: Console) -> None:
+    shown = Table(*table.headings, title=table.title, caption=table.note or None)
+    for row in table.rows:
+        shown.add_row(*(cell_text(value) for value in row))
+    console.print(shown)

@@ -1,0 +1,71 @@
+"""The noise studies, held against closed forms: how far noise on the display moves a point and turns a normal."""
+
+import json
+import tomllib
+from pathlib import Path
+
+import numpy as np
+import pytest
+from typer.testing import CliRunner
+
+from recon.cli import app
+from recon.errors import ReconError
+from recon.study.noise_rounds import noise_rounds
+from recon.study.noisy_sweeps import load_true_session, noisy_sweeps
+from recon.study.scenes import semi_ellipsoid
+from recon.study.simulator import simulated, toml_text
+from recon.study.total_reflection import critical_entry_radius
+
+
+@pytest.fixture(scope="module")
+def session_folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    scene = semi_ellipsoid(size=48, stage=(10.0, 20.0), n_liquid=1.3)
+    return simulated(scene, tmp_path_factory.mktemp("study"), options=["--truth-only"])
+
+
+def test_noise_is_as_large_as_asked_and_stated(session_folder: Path) -> None:
+    session = load_true_session(session_folder)
+    sweeps = noisy_sweeps(session, sd_px=0.3, rng=np.random.default_rng(1))
+    error = sweeps["pos1_liquid", "y"].place_px - session.place_px["pos1_liquid"][..., 1]
+    drawn = error[np.isfinite(error)]
+    assert drawn.std() == pytest.approx(0.3, rel=4 / np.sqrt(2 * drawn.size))
+    assert np.nanmax(sweeps["pos1_liquid", "y"].sd_px) == pytest.approx(0.3)
+
+
+def test_errors_grow_with_the_noise_as_long_as_it_is_small(session_folder: Path) -> None:
+    session = load_true_session(session_folder)
+    small, large = (
+        noise_rounds(session, sd_px=sd_px, rounds=2, rng=np.random.default_rng(2))["paper"] for sd_px in (0.02, 0.04)
+    )
+    assert large.position_rms / small.position_rms == pytest.approx(2, rel=0.05)
+    assert large.normal_rms_deg / small.normal_rms_deg == pytest.approx(2, rel=0.05)
+    assert 0 < small.kept <= 1
+
+
+def test_points_without_noise_are_those_of_the_truth(session_folder: Path) -> None:
+    session = load_true_session(session_folder)
+    errors = noise_rounds(session, sd_px=1e-6, rounds=1, rng=np.random.default_rng(3))
+    assert errors["paper"].position_rms < 1e-5
+    assert errors["paper"].normal_rms_deg < 1e-4
+
+
+def test_the_critical_radius_is_that_of_a_ray_along_the_axis_for_a_camera_far_away() -> None:
+    # For parallel light the incidence at the dome is the arc sine of r / R: r = R / n. A camera at 60 sees a little more.
+    assert 10 / 1.5 < critical_entry_radius() < 10 / 1.5 * 1.02
+
+
+def test_a_scene_is_written_as_toml_that_reads_back() -> None:
+    scene = semi_ellipsoid(size=48, stage=(10.0, 20.0), n_liquid=1.3)
+    assert tomllib.loads(toml_text(scene)) == json.loads(json.dumps(scene))
+
+
+def test_an_unknown_study_is_named_with_those_that_there_are(tmp_path: Path) -> None:
+    ran = CliRunner().invoke(app, ["study", "hemisfere", "--out", str(tmp_path)])
+    assert "choose one of: noise-baseline" in str(ran.exception)
+    assert "hemisphere" in CliRunner().invoke(app, ["study"]).output
+
+
+def test_another_simulation_is_never_written_over(session_folder: Path) -> None:
+    scene = semi_ellipsoid(size=32, stage=(10.0, 20.0), n_liquid=1.3)
+    with pytest.raises(ReconError, match="holds another simulation"):
+        simulated(scene, session_folder.parent, options=["--truth-only"])
