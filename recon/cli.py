@@ -8,7 +8,8 @@ from typing import Annotated
 import typer
 from rich.console import Console
 
-from recon.errors import ReconError
+from recon.batch import command as batch_command
+from recon.errors import ReconError, sentence
 from recon.evaluation import command as evaluation_command
 from recon.metrics import Metrics
 from recon.progress import progress_bar
@@ -136,6 +137,7 @@ def validate(session: SessionFolder) -> None:
     print(f"{session}: sound; {len(opened.photos)} photos, {warnings} warnings")
 
 
+batch_command.register(app)
 evaluation_command.register(app)
 register_study(app)
 register_view(app)
@@ -145,18 +147,9 @@ def main() -> None:
     """Run the command; whatever goes wrong reaches the person as one sentence."""
     try:
         app(prog_name="recon")
-    except ReconError as error:
-        Console(stderr=True, highlight=False, markup=False, soft_wrap=True).print(f"recon: {error}")
+    except (ReconError, MemoryError, OSError) as error:
+        Console(stderr=True, highlight=False, markup=False, soft_wrap=True).print(f"recon: {sentence(error)}")
         sys.exit(1)
     except KeyboardInterrupt:
         print("recon: stopped; nothing of the session was changed", file=sys.stderr)
         sys.exit(130)
-    except MemoryError:
-        print(
-            "recon: not enough memory for photos of this size; close other programs or use --threads 1", file=sys.stderr
-        )
-        sys.exit(1)
-    except OSError as error:
-        name = error.filename or "disk"
-        print(f"recon: {name}: {error.strerror}; check the path, its permissions and the free space", file=sys.stderr)
-        sys.exit(1)

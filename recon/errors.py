@@ -18,3 +18,12 @@ class SessionError(ReconError):
 
 class MissingProgramError(ReconError):
     """A program or library that this command needs is not installed."""
+
+
+def sentence(error: ReconError | MemoryError | OSError) -> str:
+    """Return what a person reads of an error that bad input, a small machine or a disk can cause."""
+    if isinstance(error, MemoryError):
+        return "not enough memory for photos of this size; close other programs or use --threads 1"
+    if isinstance(error, OSError):
+        return f"{error.filename or 'disk'}: {error.strerror}; check the path, its permissions and the free space"
+    return str(error)

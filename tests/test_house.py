@@ -68,7 +68,7 @@ def test_every_dependency_is_pinned_and_no_pin_names_a_place() -> None:
     pins = [pin for line in lines if (pin := line.split("#")[0].strip())]
     assert [pin for pin in pins if not re.fullmatch(r"[A-Za-z0-9._-]+==[A-Za-z0-9.+!]+(; [\w\s.<>='\"]+)?", pin)] == []
     project = tomllib.loads((ROOT / "pyproject.toml").read_text(encoding="utf-8"))["project"]
-    extras = {name: project["optional-dependencies"][name] for name in ("rig", "dev", "docs")}
+    extras = {name: project["optional-dependencies"][name] for name in ("rig", "cluster", "dev", "docs")}
     wanted = {plain(re.split(r"[<>=!~\[; ]", line)[0]) for line in sum(extras.values(), project["dependencies"])}
     assert wanted <= {plain(pin.split("==")[0]) for pin in pins}
 

@@ -1,22 +1,18 @@
 """The numbers of a run, gathered from its stages."""
 
-import hashlib
 import platform
 from dataclasses import asdict
 from importlib.metadata import PackageNotFoundError, version
-from pathlib import Path
 
 import numpy as np
 
-from recon.calibration.calibration_file import CALIBRATION_NAME
-from recon.calibration.session_calibration import calibration_path
 from recon.maps import Maps
 from recon.metrics import Funnel, Metrics, SampleCurve
+from recon.running.input_hashes import input_hashes
 from recon.running.outcome import Outcome
 from recon.running.settings import Settings
 from recon.scene.scene_stage import SceneStage
-from recon.sessions.journal import JOURNAL_NAME
-from recon.sessions.session import MANIFEST_NAME, Session
+from recon.sessions.session import Session
 from recon.stage_timer import StageTimer
 from recon.status import PixelStatus
 from recon.sweeps.correspondence import SweepResult
@@ -58,7 +54,7 @@ def metrics_of(
         parameters=_parameters(settings, sweeps, outcome.gap_ratio),
         warnings=(*scene.warnings, *outcome.warnings),
         versions=_versions(),
-        hashes=_hashes(session, calibration_path(session, settings.calibration)),
+        hashes=input_hashes(session.folder, calibration=settings.calibration),
         stages=timer.stages(),
         curves=_chosen_curves(sweeps, maps),
         photos=photos,
@@ -89,13 +85,6 @@ def _versions() -> dict[str, str]:
         except PackageNotFoundError:  # run from a checkout that was never installed
             found[name] = "not installed"
     return found
-
-
-def _hashes(session: Session, calibration: Path | None) -> dict[str, str]:
-    files = {name: session.folder / name for name in (MANIFEST_NAME, JOURNAL_NAME)}
-    if calibration is not None:
-        files[CALIBRATION_NAME] = calibration
-    return {name: hashlib.sha256(path.read_bytes()).hexdigest() for name, path in files.items()}
 
 
 def _chosen_curves(sweeps: dict[tuple[str, str], SweepResult], maps: Maps) -> tuple[SampleCurve, ...]:

@@ -12,14 +12,13 @@ import json
 import zipfile
 from collections.abc import Callable
 from dataclasses import asdict
-from functools import cache
-from importlib.metadata import version
 from pathlib import Path
 
 import numpy as np
 
 from recon.calibration.response_record import RESPONSE_NAME
 from recon.metrics import PhotoQuality, SampleCurve
+from recon.program import program_hash
 from recon.sessions.disk import Disk, make_folders, write_whole
 from recon.sessions.manifest import Axis, CaptureSet
 from recon.sessions.session import Session
@@ -28,7 +27,6 @@ from recon.sweeps.decode_pattern import decode_pattern
 from recon.sweeps.noise import NoiseModel
 
 STORE_NAME = "correspondence"
-LIBRARIES = ("numpy", "scipy", "opencv-contrib-python-headless", "simplejpeg")
 ARRAYS = ("place_px", "sd_px", "status")
 
 
@@ -45,7 +43,7 @@ def store_key(session: Session, capture_set: CaptureSet, axis: Axis, *, method: 
     camera = session.manifest.camera
     response = session.folder / RESPONSE_NAME
     parts = {
-        "program": _program_hash(),
+        "program": program_hash(),
         "method": method,
         "axis": axis,
         "set": capture_set.name,
@@ -57,16 +55,6 @@ def store_key(session: Session, capture_set: CaptureSet, axis: Axis, *, method: 
         "response": hashlib.sha256(response.read_bytes()).hexdigest() if response.is_file() else None,
     }
     return hashlib.sha256(json.dumps(parts, sort_keys=True).encode()).hexdigest()
-
-
-@cache
-def _program_hash() -> str:
-    """Return a hash of the text of all of recon and of the libraries that decoding rests on."""
-    digest = hashlib.sha256(json.dumps({name: version(name) for name in LIBRARIES}).encode())
-    package = Path(__file__).parents[1]
-    for path in sorted(package.rglob("*.py")):
-        digest.update(path.relative_to(package).as_posix().encode() + b"\0" + path.read_bytes())
-    return digest.hexdigest()
 
 
 def store_path(session: Session, capture_set: CaptureSet, axis: Axis, *, method: Method) -> Path | None:

@@ -106,7 +106,7 @@ def test_a_change_of_the_program_makes_every_kept_sweep_another_one(
     folder: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     keep(folder)
-    monkeypatch.setattr(correspondence_store, "_program_hash", lambda: "another program")
+    monkeypatch.setattr(correspondence_store, "program_hash", lambda: "another program")
     assert load_stored(*first_sweep(folder), "x", method="full") is None
 
 

@@ -1,0 +1,20 @@
+"""Which program this is, down to its text: what was made by another one is not taken for this one's."""
+
+import hashlib
+import json
+from functools import cache
+from importlib.metadata import version
+from pathlib import Path
+
+# The libraries whose numbers end up in results.
+LIBRARIES = ("numpy", "scipy", "opencv-contrib-python-headless", "simplejpeg", "pyamg", "trimesh")
+
+
+@cache
+def program_hash() -> str:
+    """Return a hash of the text of all of recon and of the libraries that its numbers rest on."""
+    digest = hashlib.sha256(json.dumps({name: version(name) for name in LIBRARIES}).encode())
+    package = Path(__file__).parent
+    for path in sorted(package.rglob("*.py")):
+        digest.update(path.relative_to(package).as_posix().encode() + b"\0" + path.read_bytes())
+    return digest.hexdigest()
