@@ -25,7 +25,7 @@ Pending = dict[Future[SessionStatus], SessionTask]
 class Crew:
     """Who works, called ``name``: an executor, and the error by which it says that a worker is gone.
 
-    A session takes ``threads`` threads; 0 lets each worker share out its host's cores among the ``workers_at`` it.
+    A session takes ``threads`` threads; 0 lets each worker share the cores of its place with the others of ``workers_at``.
     ``kill`` ends all that runs, where that can be done.
     """
 

@@ -1,11 +1,11 @@
 """The workers of a Dask cluster, through the interface of ``concurrent.futures``; Dask is loaded here alone."""
 
-import socket
 from collections import Counter
 from collections.abc import Iterator
 from contextlib import contextmanager
 
 from recon.batch.batch_run import Crew
+from recon.batch.cores import place
 from recon.errors import MissingProgramError, ReconError
 
 CONNECT_LIMIT_S = 20.0
@@ -40,7 +40,7 @@ def cluster_crew(address: str, *, threads: int) -> Iterator[Crew]:
     try:
         with client:
             _check_threads(client.scheduler_info(n_workers=-1)["workers"])
-            workers_at = Counter(client.run(socket.gethostname).values())
+            workers_at = Counter(client.run(place).values())
             # Not pure: the same session is handed out again after a loss.
             executor = client.get_executor(pure=False)
             name = f"{workers_at.total()} workers of {address}"

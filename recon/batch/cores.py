@@ -1,6 +1,7 @@
 """How the cores of a machine are shared out among sessions."""
 
 import os
+import socket
 
 # What the linear algebra under NumPy, SciPy and OpenCV reads when it is loaded.
 THREAD_VARIABLES = ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS")
@@ -11,6 +12,12 @@ def usable_cores() -> int:
     if hasattr(os, "sched_getaffinity"):
         return len(os.sched_getaffinity(0))
     return os.cpu_count() or 1
+
+
+def place() -> str:
+    """Return the host and those of its cores that this process may use: processes of one place share them."""
+    own = sorted(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else []
+    return f"{socket.gethostname()} {own}"
 
 
 def shared_out(*, cores: int, sessions: int, jobs: int) -> tuple[int, int]:

@@ -13,7 +13,7 @@ from pathlib import Path
 
 import cv2
 
-from recon.batch.cores import usable_cores
+from recon.batch.cores import place, usable_cores
 from recon.batch.session_status import Attempt, SessionStatus, load_status, save_status
 from recon.errors import ReconError, sentence
 from recon.program import program_hash
@@ -27,7 +27,7 @@ _ONE_AT_A_TIME = threading.Lock()
 
 @dataclass(frozen=True, slots=True)
 class SessionTask:
-    """What a worker is told. ``workers_at`` counts the workers of each host among which its cores are shared out."""
+    """What a worker is told. ``workers_at`` counts the workers of each place, which share its cores."""
 
     name: str
     session: Path
@@ -78,7 +78,7 @@ def _fault_of(task: SessionTask) -> str:
             raise ReconError(
                 f"recon on {socket.gethostname()} is not the one that this batch was begun with; install the same"
             )
-        threads = task.settings.threads or max(usable_cores() // task.workers_at.get(socket.gethostname(), 1), 1)
+        threads = task.settings.threads or max(usable_cores() // task.workers_at.get(place(), 1), 1)
         cv2.setNumThreads(threads)
         # Several sessions would draw their bars over each other.
         with contextlib.redirect_stderr(messages):
