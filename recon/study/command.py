@@ -102,7 +102,9 @@ def _list(console: Console) -> None:
 
 
 def _show(table: StudyTable, console: Console) -> None:
-    shown = Table(*table.headings, title=table.title, caption=table.note or None)
+    shown = Table(title=table.title, caption=table.note or None)
+    for heading in table.headings:
+        shown.add_column(heading, overflow="fold")
     for row in table.rows:
         shown.add_row(*(cell_text(value) for value in row))
     console.print(shown)

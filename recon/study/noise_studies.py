@@ -50,8 +50,9 @@ def _study(folder: Path, size: StudySize, scenes: Mapping[str, Scene], varied: s
             tell(f"{label}, noise of {sigma:g} units")
             units[label, sigma] = noise_rounds(session, sd_px=sigma * STEPS_A_UNIT, rounds=rounds, rng=rng)
     setting = (
-        f"The semi-ellipsoid, {columns} × {columns} camera pixels, {rounds} rounds each with Gaussian noise drawn anew on the "
-        "true correspondences of all four sets. Both methods are judged on the pixels that pass the tests of the paper's."
+        f"The semi-ellipsoid, {columns} × {columns} camera pixels, Gaussian noise drawn anew in each "
+        f"of {rounds} rounds on the true correspondences of all four sets. Both methods are judged on the same "
+        "pixels: those that pass the tests of method `paper`."
     )
     return Findings(
         setting,

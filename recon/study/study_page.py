@@ -7,6 +7,7 @@ from typing import Any
 import matplotlib
 from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
+from matplotlib.ticker import FuncFormatter
 
 from recon.report.map_pictures import THEMES, Picture
 from recon.report.page import render_page
@@ -14,7 +15,7 @@ from recon.report.panel import Panel, Section, Table
 from recon.study.study_result import StudyFigure, StudyResult, StudyTable, cell_text
 
 PAGE_NAME = "study.html"
-WIDTH_IN, HEIGHT_IN, DOTS_PER_IN = 7.2, 4.2, 150
+WIDTH_IN, HEIGHT_IN, DOTS_PER_IN = 9.0, 3.6, 130
 
 
 def page_of(results: Sequence[StudyResult]) -> str:
@@ -34,7 +35,6 @@ def _section(result: StudyResult) -> Section:
             figure.title,
             "map.html.j2",
             {"picture": curve_picture(figure), "step": 1},
-            wide=False,
         )
         for number, figure in enumerate(result.figures)
     )
@@ -87,6 +87,9 @@ def _drawn(figure: StudyFigure, *, ink: str, ground: str) -> bytes:
             values = [float("nan") if value is None else value for value in curve.y]
             axes.plot(curve.x, values, style, color=colour, marker="o", markersize=3.5, label=curve.label)
         axes.set(xlabel=figure.x_label, ylabel=figure.y_label, yscale=figure.y_scale)
+        if figure.y_scale == "log":
+            axes.yaxis.set_major_formatter(FuncFormatter(plain))
+            axes.yaxis.set_minor_formatter(FuncFormatter(plain))
         axes.grid(True, which="both", color=ground)
         axes.patch.set_alpha(0)
         axes.legend(fontsize=8.5, loc="center left", bbox_to_anchor=(1.01, 0.5), framealpha=0)
@@ -94,3 +97,8 @@ def _drawn(figure: StudyFigure, *, ink: str, ground: str) -> bytes:
         written = io.BytesIO()
         drawing.savefig(written, format="png", transparent=True)
     return written.getvalue()
+
+
+def plain(value: float, _: int | None = None) -> str:
+    """Return the label of a tick on a logarithmic axis: 1, 2 and 5 of each decade, as plain numbers."""
+    return f"{value:g}" if f"{value:e}"[0] in "125" and f"{value:.0e}"[0] in "125" else ""

@@ -72,8 +72,8 @@ def _study(folder: Path, size: StudySize, scenes: Mapping[str, Scene], varied: s
         ),
     )
     setting = (
-        f"{columns} × {columns} camera pixels, {rounds} rounds each with Gaussian noise drawn anew on the true correspondences "
-        "of all four sets, with and without the object."
+        f"{columns} × {columns} camera pixels, Gaussian noise drawn anew in each of {rounds} rounds on the true "
+        "correspondences of all four sets, with and without the object."
     )
     table = StudyTable(title="Error of the normals", headings=headings, rows=rows, note=note)
     return Findings(setting, (table,), (figure,))
