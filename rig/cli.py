@@ -74,6 +74,10 @@ def capture(
     auto_exposure: options.AutoExposureOption = False,
     code: options.CodeOption = None,
     watch: options.WatchOption = False,
+    calibration: Annotated[
+        Path | None,
+        typer.Option("--calibration", metavar="FILE", help="Measured poses and lens, in place of those configured."),
+    ] = None,
     state: options.StateOption = None,
     real_time: options.RealTimeOption = False,
     pause_after: Annotated[
@@ -98,13 +102,13 @@ def capture(
         profile, width_px, step_px, order, size, display_columns, seed, scan, live, watch, auto_exposure, code
     )
     if resume:
-        if config is not None or scene is not None or changes != SceneOptions():
+        if config is not None or scene is not None or calibration is not None or changes != SceneOptions():
             raise ConfigError(
                 "--resume keeps the configuration that the session began with; leave out the other options"
             )
         rig = rig_of_session(session, sim)
     else:
-        rig = choose_rig(sim, config, scene, changes)
+        rig = choose_rig(sim, config, scene, changes).calibrated(calibration)
     if dry_run:
         known = Known()
         if resume:

@@ -1,6 +1,6 @@
 """The options that several ``rig`` commands share, and what they mean together: the rig and, in rehearsal, its scene."""
 
-from dataclasses import dataclass
+from dataclasses import dataclass, fields, replace
 from pathlib import Path
 from typing import Annotated, Literal
 
@@ -96,12 +96,33 @@ StateOption = Annotated[
 RealTimeOption = Annotated[bool, typer.Option("--real-time", help="Let simulated devices take as long as real ones.")]
 
 
+# For commands whose argument is a number: one below zero is a value, to be refused in words, and no unknown option.
+NUMBERS_BELOW_ZERO = {"ignore_unknown_options": True}
+# What an option of a rehearsal is called, and where a real rig has it.
+OPTION_OF: dict[str, tuple[str, str]] = {
+    "camera_columns": ("--size", "[camera]"),
+    "display_columns": ("--display-columns", "[display]"),
+    "scan": ("--scan", "[capture.scan]"),
+    "live": ("--live", "[live]"),
+    "watch": ("--watch", "[watch]"),
+    "auto_exposure": ("--auto-exposure", "[capture.auto_exposure]"),
+    "order": ("--order", "[capture]"),
+    "seed": ("--seed", ""),
+}
+
+
 @dataclass(frozen=True, slots=True)
 class Rig:
     """What a command works on: the configuration, and the simulated scene if this is a rehearsal."""
 
     config: RigConfig
     scene: Scene | None
+
+    def calibrated(self, file: Path | None) -> "Rig":
+        """Return the rig with a calibration to take over, if one is given."""
+        if file is None:
+            return self
+        return replace(self, config=self.config.model_copy(update={"calibration": str(file)}))
 
     def simulation(self, *, real_time: bool, state_file: Path | None, wire: bool = False) -> Simulation | None:
         """Return how to simulate, or None for real devices; options of a rehearsal are refused for those."""
@@ -116,15 +137,22 @@ def choose_rig(sim: bool, config_file: Path | None, scene_name: str | None, opti
     """Return the configured rig, or with ``sim`` the simulated one; mixtures are refused."""
     if not sim:
         if scene_name is not None or options != SceneOptions():
-            raise ConfigError(
-                "--scene and the options of scene and stripe belong to simulated devices; add --sim, or set the values "
-                "in the configuration"
-            )
+            raise ConfigError(_only_simulated(scene_name, options))
         return Rig(load_config(config_file or DEFAULT_FILE), None)
     if config_file is not None:
         raise ConfigError("--sim takes everything from its scene, so --config has no effect; leave out one of them")
     scene = open_scene(scene_name or DEFAULT_SCENE, options)
     return Rig(config_of_scene(scene, options), scene)
+
+
+def _only_simulated(scene_name: str | None, options: SceneOptions) -> str:
+    """Say which option belongs to simulated devices, and which section of the configuration says the same of a real rig."""
+    if scene_name is not None:
+        return f"--scene {scene_name} belongs to simulated devices; add --sim, or leave it out"
+    given = next(field.name for field in fields(options) if getattr(options, field.name) != field.default)
+    option, section = OPTION_OF.get(given, (f"--{given.replace('_', '-')}", "[capture.stripe]"))
+    instead = f"set it in the section {section} of the configuration" if section else "leave it out"
+    return f"{option} belongs to simulated devices; add --sim, or {instead}"
 
 
 def rig_of_session(folder: Path, sim: bool) -> Rig:

@@ -95,7 +95,7 @@ def _pump(
         _print_levels(devices, tank)
 
 
-@app.command()
+@app.command(context_settings=options.NUMBERS_BELOW_ZERO)
 def fill(
     volume_ml: VolumeArgument = None,
     to_ml: Annotated[
@@ -116,7 +116,7 @@ def fill(
     _pump("fill", volume_ml, to_ml, sim, config, scene, state, real_time)
 
 
-@app.command()
+@app.command(context_settings=options.NUMBERS_BELOW_ZERO)
 def drain(
     volume_ml: VolumeArgument = None,
     to_ml: Annotated[
@@ -132,7 +132,7 @@ def drain(
     _pump("drain", volume_ml, to_ml, sim, config, scene, state, real_time)
 
 
-@app.command()
+@app.command(context_settings=options.NUMBERS_BELOW_ZERO)
 def prime(
     volume_ml: Annotated[float, typer.Argument(metavar="ML", help="The volume of the tubing, in ml.")] = 50.0,
     sim: options.SimOption = False,
@@ -235,9 +235,9 @@ def status(
         _print_levels(devices, tank)
 
 
-@app.command()
+@app.command(context_settings=options.NUMBERS_BELOW_ZERO)
 def level(
-    tank_ml: Annotated[float, typer.Argument(metavar="ML", min=0.0, help="What the tank holds, in ml.")],
+    tank_ml: Annotated[float, typer.Argument(metavar="ML", help="What the tank holds, in ml.")],
     reservoir_ml: Annotated[
         float | None, typer.Option("--reservoir", metavar="ML", min=0.0, help="What the reservoir holds, in ml.")
     ] = None,
@@ -256,6 +256,8 @@ def level(
         ("tank", tank_ml, tank.free_volume_ml),
         ("reservoir", reservoir_ml or 0.0, tank.reservoir_can_hold_ml),
     ):
+        if not told_ml >= 0:
+            raise ConfigError(f"{told_ml:g} ml in the {vessel} told, none holds less than nothing; measure again")
         if not told_ml <= limit_ml:
             raise ConfigError(f"{told_ml:g} ml in the {vessel} told, it can hold {limit_ml:g} ml; measure again")
     with open_tank(rig.config, simulation=rig.simulation(real_time=False, state_file=state)) as devices:

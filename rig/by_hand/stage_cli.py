@@ -60,7 +60,7 @@ def home(
         print(_where(stage))
 
 
-@app.command()
+@app.command(context_settings=options.NUMBERS_BELOW_ZERO)
 def move(
     position_mm: Annotated[float, typer.Argument(metavar="MM", help="Where to go, in mm from the reference.")],
     home_first: Annotated[bool, typer.Option("--home", help="Home the stage first.")] = False,

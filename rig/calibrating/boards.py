@@ -11,6 +11,7 @@ from rig.errors import ConfigError
 SQUARE_PX = 80
 # Photos at one place show boards of different squares, so that no error of drawing or detection repeats in all of them.
 SHRINKING = (1.0, 0.85, 0.7)
+COARSEST = 2
 
 
 def printed_board(config: RigConfig) -> Board:

@@ -9,7 +9,7 @@ from typing import Literal
 from drivers.protocols import Frame
 from recon.calibration.board import Board
 from recon.calibration.errors import CalibrationError
-from rig.calibrating.boards import SQUARE_PX, board_picture, printed_board, shown_board
+from rig.calibrating.boards import COARSEST, SQUARE_PX, board_picture, printed_board, shown_board
 from rig.calibrating.calibration_devices import CameraAndDisplay, open_camera_alone, open_camera_and_display
 from rig.calibrating.calibration_folder import CalibrationFolder
 from rig.calibrating.camera_capture import CameraCapture, LensSoFar, lens_so_far
@@ -67,7 +67,7 @@ def photograph_lens(folder: Path, config: RigConfig, *, simulation: Simulation |
     """Photograph a board in many poses until nothing is missing; photos of earlier runs count."""
     refuse_other_rig(folder, config)
     printed = config.calibrate.board == "printed"
-    shown = None if printed else shown_board(config)
+    shown = None if printed else shown_board(config, COARSEST)  # a hand holds it farther away and aslant
     board = printed_board(config) if shown is None else shown.board
     so_far = lens_of_kept(folder, config)
     if so_far.views:

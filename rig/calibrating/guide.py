@@ -128,4 +128,7 @@ class Guide:
         _, doubts = with_calibration_of(manifest_of(self.config, devices={}, scene=self.scene), str(file))
         for doubt in doubts:
             self.say(f"! {doubt}")
-        self.say(f'{file}: fits this rig; write calibration = "{file}" into its configuration')
+        if self.simulation is not None:
+            self.say(f"{file}: fits this rig; give it to `rig capture --sim` with --calibration {file}")
+        else:
+            self.say(f'{file}: fits this rig; write calibration = "{file.resolve()}" into its configuration')

@@ -46,7 +46,7 @@ OUTLINE_COLUMNS = 160
 TRAVEL_SD_MM = 0.02
 # Boards: the printed one's share of the photo, and the side of a square in the photo from which its marker is read for certain.
 PRINTED_SHARE = 0.6
-SQUARE_SEEN_PX = 33.0
+SQUARE_SEEN_PX = 36.0
 
 
 @dataclass(frozen=True, slots=True)

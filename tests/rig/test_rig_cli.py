@@ -96,6 +96,20 @@ def test_nothing_falls_back_to_a_simulated_device(
 WRONG = [
     (("capture", "--session", "s"), "rig.toml: no such file; write one with `rig init rig.toml`"),
     (("capture", "--session", "s", "--scene", "hemisphere"), "add --sim"),
+    (
+        ("capture", "--session", "s", "--live"),
+        "--live belongs to simulated devices; add --sim, or set it in the section [live]",
+    ),
+    (("calibrate", "check", "none.json"), "none.json: no such calibration"),
+    (("calibrate", "compute", "none"), "none: holds no photos of a board; begin with `rig calibrate run none`"),
+    (
+        ("calibrate", "camera", "c", "--sim", "--squares", "9by6"),
+        "--squares '9by6' asked; write how many squares across",
+    ),
+    (("calibrate", "camera", "c", "--sim", "--dictionary", "DICT_9X9"), "'DICT_9X9' is no marker dictionary of OpenCV"),
+    (("calibrate", "camera", "c", "--sim", "--leave-out", "0001"), "no photo of camera that counts is called 0001"),
+    (("calibrate", "poses", "c", "--sim", "--scene", "thin_cone", "--wet"), "this rig has no tank"),
+    (("calibrate", "run", "c", "--sim", "--sim-wire"), "leave out one of them"),
     (("capture", "--session", "s", "--sim", "--config", "rig.toml"), "leave out one of them"),
     (("capture", "--session", "s", "--sim", "--scene", "nowhere"), "no scene 'nowhere': choose one of bottle"),
     (("capture", "--session", "s", "--sim", "--step-px", "500"), "a sweep needs at least 3"),

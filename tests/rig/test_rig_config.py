@@ -28,6 +28,15 @@ def test_the_template_is_a_configuration_that_can_be_planned(tmp_path: Path) -> 
     assert summarise(plan_capture(config), config).photos == 4 * (301 + 226 + 2) + 4 + 3 * 3
 
 
+@pytest.mark.parametrize("given", ["cal/calibration.json", "/somewhere/calibration.json"])
+def test_a_calibration_is_looked_for_beside_the_configuration_and_not_where_the_command_runs(
+    tmp_path: Path, given: str
+) -> None:
+    text = TEMPLATE.replace('# calibration = "calibration.json"', f'calibration = "{given}"')
+    config = load_config(config_file(tmp_path, text))
+    assert config.calibration == str(tmp_path / given)
+
+
 def leaves(model: type[BaseModel]) -> set[str]:
     names = set()
     for name, field in model.model_fields.items():

@@ -227,6 +227,12 @@ def test_a_level_that_cannot_be_is_refused(told_empty: Run, told: tuple[str, ...
     assert "it can hold" in err
 
 
+def test_a_level_below_nothing_is_refused_as_a_volume_and_not_as_an_option(told_empty: Run) -> None:
+    code, _, err = told_empty("pump", "level", "-5")
+    assert code == 1
+    assert err == "rig: -5 ml in the tank told, none holds less than nothing; measure again\n"
+
+
 def test_a_rehearsal_remembers_beside_its_state_and_forgets_with_it(rig: Run, tmp_path: Path) -> None:
     state = tmp_path / "bench.json"
     assert tank_line(rig("pump", "fill", "--to", "300", "--sim", "--state", str(state))).startswith("tank: 300 ml")
