@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 from seen_corners import lab_scene, panel_view, seen_places, slipped_scene, true_lens, true_pose
-from test_slip import PANEL, errors, pixels_of
+from seen_object import PANEL, errors, pixels_of
 
 from recon.calibration.board import board_for_display
 from recon.calibration.detection import BoardView

@@ -3,7 +3,8 @@
 import numpy as np
 import pytest
 from seen_corners import hand_held_views, lab_scene, panel_view, seen_places, true_pose
-from test_slip import CORNER_SD_PX, PANEL, pixels_of
+from seen_object import PANEL, pixels_of, shape_error_mm
+from test_slip import CORNER_SD_PX
 
 from recon.calibration.board import Board, board_for_display
 from recon.calibration.bundle_state import moved_pose
@@ -84,10 +85,3 @@ def test_calibration_alone_keeps_the_shape_within_two_hundredths_of_a_millimetre
     # Where the object is as a whole depends on the focal length: known to about a hundredth of a percent.
     assert off_mm < 4 * predicted.rms_mm
     assert predicted.rms_mm < 2 * GOAL_MM
-
-
-def shape_error_mm(found_mm: np.ndarray, true_mm: np.ndarray) -> float:
-    """Return the rms distance after the best motion as a whole (Kabsch)."""
-    a, b = true_mm - true_mm.mean(axis=0), found_mm - found_mm.mean(axis=0)
-    u, _, vt = np.linalg.svd(a.T @ b)
-    return float(np.sqrt(((b - a @ (u @ vt)) ** 2).sum(axis=1).mean()))

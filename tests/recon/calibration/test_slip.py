@@ -3,9 +3,6 @@
 The pixels' places on the display, the photos of the board and the truth all come from the simulator's optics.
 """
 
-from collections.abc import Mapping
-from dataclasses import dataclass
-
 import numpy as np
 import pytest
 from seen_corners import (
@@ -14,76 +11,22 @@ from seen_corners import (
     panel_view,
     slipped_scene,
 )
+from seen_object import OBJECT_RADIUS_MM, PANEL, errors, pixels_of
 
 from recon.calibration.board import Board, board_for_display
 from recon.calibration.bundle import BundleResult
 from recon.calibration.constraints import lens_known, travel_known
 from recon.calibration.detection import BoardView
 from recon.calibration.display_poses import AIR_PANELS, Travel, display_poses, manifest_pose
-from recon.calibration.fep_error import Geometry, entry_points_of
 from recon.calibration.intrinsics import calibrate_lens
 from recon.calibration.sight_line import PanelPose
 from recon.calibration.wet_pose import slips, wet_poses
-from recon.patterns.sweep_frames import screen_mm
-from recon.sessions.manifest import DisplayPanel
-from sim_backend.photography import Photographer
 from sim_backend.scene import Scene
 
 SLIP_MM = 0.3
 # As the simulated photos of test_simulated_photo show.
 CORNER_SD_PX = 0.05
 PHOTOS = 4  # of the board in each pose
-CORRESPONDENCE_SD_PX = 0.1  # of the display, as in the figures of the method's sources of error
-PANEL = DisplayPanel(columns=2048, rows=1536, pitch_mm=0.0962)
-OBJECT_RADIUS_MM = 27.99
-
-
-@dataclass(frozen=True, slots=True, eq=False)
-class Errors:
-    """Mean errors over the pixels that see the object in all four sets."""
-
-    point_mm: float
-    normal_deg: float
-
-
-def pixels_of(
-    scene: Scene, slipped: Scene, *, rng: np.random.Generator, sd_px: float = CORRESPONDENCE_SD_PX
-) -> tuple[Geometry, np.ndarray, np.ndarray]:
-    """Return noisy display places of the pixels that see the object, and the true points and normals in the camera's frame."""
-    small = [one.resized(camera_columns=486) for one in (scene, slipped)]
-    small = [one.model_copy(update={"camera": one.camera.model_copy(update={"supersampling": 1})}) for one in small]
-    photographer, after = (Photographer(one) for one in small)
-    truth = photographer.truth()
-    judged = truth.status == 0
-    places: dict[str, np.ndarray] = {}
-    for position, stage_mm in enumerate(scene.stage_positions_mm):
-        for condition, wet in (("air", False), ("liquid", True)):
-            source = after if wet and position == 1 else photographer
-            places[f"pos{position}_{condition}"] = source.pixel_coordinates(stage_position_mm=stage_mm, wet=wet)
-    for place in places.values():
-        judged &= np.isfinite(place).all(axis=2)
-    screen = {}
-    for name, place in places.items():
-        noisy = place[judged] + rng.normal(0, sd_px, (np.count_nonzero(judged), 2))
-        screen[name] = np.column_stack([screen_mm(noisy[:, 0], "x", PANEL), screen_mm(noisy[:, 1], "y", PANEL)])
-    camera_from_world = scene.camera.world_from_camera().T
-    point_mm = (truth.point_mm[judged] - np.array(scene.camera.position_mm)) @ camera_from_world.T
-    assert scene.n_liquid is not None
-    return Geometry(screen, n_liquid=scene.n_liquid), point_mm, truth.normal[judged] @ camera_from_world.T
-
-
-def errors(geometry: Geometry, panels: Mapping[str, PanelPose], point_mm: np.ndarray, normal: np.ndarray) -> Errors:
-    """Return the mean errors over points whose paths cross at 1° at least, as the paper asks."""
-    found_mm, found_normal = entry_points_of(geometry, panels)
-    off_mm = np.linalg.norm(found_mm - point_mm, axis=1)
-    off_deg = np.degrees(np.arccos(np.clip((found_normal * normal).sum(axis=1), -1, 1)))
-    # Where light hits nearly upright the two paths hardly differ: the truth's own angle decides, alike for all.
-    steep = np.abs((normal * _down(panels)).sum(axis=1)) < np.cos(np.radians(15.0))
-    return Errors(float(off_mm[steep].mean()), float(off_deg[steep].mean()))
-
-
-def _down(panels: Mapping[str, PanelPose]) -> np.ndarray:
-    return panels[AIR_PANELS[0]].rotation[:, 2]
 
 
 def beside_the_object(corner_mm: np.ndarray) -> np.ndarray:
