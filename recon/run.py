@@ -5,12 +5,13 @@ from concurrent.futures import ThreadPoolExecutor
 from dataclasses import replace
 from pathlib import Path
 
-from recon.calibration.calibration_file import CALIBRATION_NAME
+from recon.calibration.calibration_file import CALIBRATION_NAME, read_calibration
 from recon.calibration.session_calibration import calibrated_manifest, calibration_path, with_calibration
 from recon.errors import ReconError
 from recon.maps import MAPS_NAME, save_maps
 from recon.metrics import METRICS_NAME, Metrics, save_metrics
 from recon.progress import progress_bar
+from recon.report.calibration_page import CALIBRATION_PAGE_NAME, write_calibration_page
 from recon.report.writer import write_report
 from recon.running.outcome import Outcome, reconstruct
 from recon.running.run_metrics import metrics_of
@@ -32,6 +33,7 @@ def run_session(session_folder: Path, out: Path, settings: Settings) -> Metrics:
         check_whole(session)
     calibration = calibration_path(session, settings.calibration)
     doubts: tuple[str, ...] = ()
+    used = None if calibration is None else read_calibration(calibration)
     if calibration is not None:
         session, doubts = with_calibration(session, calibration)
     make_folder(out)
@@ -54,7 +56,10 @@ def run_session(session_folder: Path, out: Path, settings: Settings) -> Metrics:
             metrics=metrics,
             manifest=session.manifest,
             mesh=None if mesh is None else (mesh.vertices_mm, mesh.faces, mesh.normal),
+            calibration=used,
         )
+        if used is not None:
+            write_calibration_page(out / CALIBRATION_PAGE_NAME, used)
     # A copy of the manifest makes the folder whole: it can be moved, read and evaluated without the session.
     if calibration is None:
         (out / MANIFEST_NAME).write_bytes((session.folder / MANIFEST_NAME).read_bytes())

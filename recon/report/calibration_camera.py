@@ -176,9 +176,10 @@ def distortion_panel(camera: CalibratedCamera) -> Panel:
 def certainty_panel(camera: CalibratedCamera) -> Panel:
     """Return how well each part of the picture is known, after the best turn of the camera as a whole."""
     sd_px = direction_sd_px(camera)
+    most_px = float(sd_px.max())
     drawing = empty_grid(camera)
     for square, sd in zip(squares(camera), sd_px, strict=True):
-        add_square(drawing, square, float(sd / sd_px.max()), number(float(sd), 2))
+        add_square(drawing, square, float(sd) / (most_px or 1.0), number(float(sd), 2))
     drawing["label"] = "Standard deviation of each part of the photo, in pixels"
     return Panel(
         "certainty",
@@ -189,6 +190,7 @@ def certainty_panel(camera: CalibratedCamera) -> Panel:
         "carries display and object along.",
         "A few hundredths of a pixel, a tenth in the corners.",
         "Tenths of a pixel where the display is seen: take more views there.",
+        missing="" if most_px > 0 else "The file has no covariance of the lens.",
         wide=False,
     )
 

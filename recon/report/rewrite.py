@@ -6,6 +6,7 @@ from pathlib import Path
 import numpy as np
 import trimesh
 
+from recon.calibration.calibration_file import CALIBRATION_NAME, read_calibration
 from recon.maps import MAPS_NAME, load_maps
 from recon.metrics import METRICS_NAME, load_metrics
 from recon.report.writer import REPORT_NAME, write_report
@@ -17,6 +18,7 @@ def rewrite_report(run_folder: Path, evaluation: Sequence[Mapping[str, object]])
     source = run_folder / MANIFEST_NAME
     if not source.exists() or not (run_folder / REPORT_NAME).exists():
         return None
+    calibration = run_folder / CALIBRATION_NAME
     mesh_file = run_folder / "mesh.ply"
     mesh = None
     if mesh_file.exists():
@@ -33,4 +35,5 @@ def rewrite_report(run_folder: Path, evaluation: Sequence[Mapping[str, object]])
         manifest=parse_manifest(source.read_text(encoding="utf-8"), source=str(source)),
         mesh=mesh,
         evaluation=evaluation,
+        calibration=read_calibration(calibration) if calibration.is_file() else None,
     )

@@ -3,10 +3,13 @@
 import numpy as np
 from jaxtyping import Float64
 
+from recon.calibration.calibration_file import Calibration
 from recon.maps import Maps
+from recon.report.calibration_display import slips_of
+from recon.report.calibration_page import CALIBRATION_PAGE_NAME, holds_until
 from recon.report.charts import Scale, line_path
 from recon.report.display_frame import frame_from_world, screen_corners, transform_points
-from recon.report.numbers import LengthUnit, number
+from recon.report.numbers import NOTHING, LengthUnit, number
 from recon.report.panel import Panel, Section, Table
 from recon.report.point_scene import SEED, box_of
 from recon.sessions.manifest import Manifest, Pose
@@ -186,13 +189,50 @@ def side_view(
     }
 
 
-def setup_section(manifest: Manifest, maps: Maps, *, unit: LengthUnit) -> Section:
+def calibration_panel(calibration: Calibration | None) -> Panel:
+    """Return how well the calibration is known that the poses come from, and where its own page is."""
+    data: dict[str, object] = {}
+    if calibration is not None:
+        quality = calibration.quality
+        rows = [
+            ("Made", calibration.created[:16].replace("T", ", ")),
+            ("Holds until", holds_until(calibration)),
+            ("Adds to the shape of the object", _length_mm(quality.fep_shape_error_mm)),
+            ("Adds to its place, seen from the display", _length_mm(quality.fep_display_error_mm)),
+            (
+                "Adds to normals",
+                NOTHING if quality.normal_error_deg is None else f"{number(quality.normal_error_deg, 2)}°",
+            ),
+            ("Poses measured for", ", ".join(calibration.poses)),
+        ]
+        rows += [(f"Position {slip.position}, dry to wet", slip.sentence()) for slip in slips_of(calibration)]
+        data = {"address": CALIBRATION_PAGE_NAME, "table": Table(("Calibration", "Value"), tuple(rows))}
+    return Panel(
+        "calibration",
+        "The calibration",
+        "calibration.html.j2",
+        data,
+        "Poses, lens, pitch and cover glass of this result were measured, not taken from the configuration.",
+        "An error of the shape far below what is to be measured, and a display that did not slip.",
+        "A calibration older than it holds, or one from before the rig was moved: the warnings above name it.",
+        missing="" if calibration else "No calibration was used: the poses are those that the manifest states.",
+    )
+
+
+def _length_mm(value: float | None) -> str:
+    return NOTHING if value is None else f"{number(value, 2)} mm rms"
+
+
+def setup_section(
+    manifest: Manifest, maps: Maps, *, unit: LengthUnit, calibration: Calibration | None = None
+) -> Section:
     """Return the section on what was calibrated."""
     return Section(
         "setup",
         "Calibration and set-up",
         (
             drawing_panel(manifest, maps, unit),
+            calibration_panel(calibration),
             poses_panel(manifest, unit),
             parts_panel(manifest, unit),
             patterns_panel(manifest),

@@ -7,6 +7,7 @@ from pathlib import Path
 import numpy as np
 from jaxtyping import Float, Integer
 
+from recon.calibration.calibration_file import Calibration
 from recon.errors import ReconError
 from recon.maps import Maps
 from recon.metrics import Metrics
@@ -41,6 +42,7 @@ def write_report(
     manifest: Manifest,
     mesh: Mesh | None,
     evaluation: Sequence[Mapping[str, object]] = (),
+    calibration: Calibration | None = None,
 ) -> Path:
     """Write ``report.html`` into ``out_dir`` and return its path.
 
@@ -55,6 +57,8 @@ def write_report(
     evaluation:
         One mapping a fitted primitive or comparison; its keys become the columns, and an ending such as ``_mm`` or ``_deg``
         becomes the unit in the heading.
+    calibration:
+        The calibration that the poses come from; its page, ``calibration.html``, is expected beside the report.
 
     Raises
     ------
@@ -74,7 +78,7 @@ def write_report(
     )
     after = (
         capture_section(metrics, unit=unit),
-        setup_section(manifest, maps, unit=unit),
+        setup_section(manifest, maps, unit=unit, calibration=calibration),
         run_section(metrics, manifest),
         methods_section(manifest, metrics, unit=unit),
     )

@@ -3,6 +3,7 @@
 ``python -m tests.bench.calibration_study STUDY [--runs N]`` prints a table in markdown, and the same as JSON. STUDY is
 
 ``variance``   mean squares of normalised errors (1 where covariances are right): lens, poses, pitch, slips, cover glass
+``pitch``      the same of lens, dry poses and pitch alone
 ``place``      errors of points and normals that follow from the calibration alone, actual beside predicted, by procedure
 ``slip``       a display that slipped 0.3 mm in its plane at position 1, in the liquid set only
 ``glass``      cover glass of 1.5 mm: ignored, modelled, estimated
@@ -41,21 +42,45 @@ MAY_SLIP = SlipKnowledge(in_plane_mm=0.5, in_plane_rad=0.005, along_normal_mm=0.
 Rows = list[dict[str, object]]
 
 
+class Squares:
+    """Squares of normalised errors by what they are errors of."""
+
+    def __init__(self) -> None:
+        self._of: dict[tuple[str, int], list[float]] = {}
+
+    def add(self, name: str, error: np.ndarray, covariance: np.ndarray) -> None:
+        """Add the errors of one run."""
+        self._of.setdefault((name, len(error)), []).append(chi_square(error, covariance))
+
+    def rows(self) -> Rows:
+        """Return the mean square of a number, and how far chance spreads it."""
+        return [
+            {
+                "errors of": name,
+                "numbers": numbers,
+                "mean square": float(np.mean(each)) / numbers,
+                "spread by chance": float(np.sqrt(2 / (numbers * len(each)))),
+            }
+            for (name, numbers), each in self._of.items()
+        ]
+
+
+def _add_dry(squares: Squares, rig: Rig, procedure: Procedure, rng: np.random.Generator) -> None:
+    made = calibrate(rig, procedure, rng, pitch_share=PITCH_SHARE)
+    squares.add("lens", made.lens.lens - rig.lens, made.lens.covariance)
+    squares.add("dry poses, pitch free", pose_errors(rig.poses, made.dry), made.dry.covariance_of(*AIR_PANELS))
+    squares.add("pitch", np.array([made.dry.state.scale - PITCH_SHARE]), made.dry.covariance_of("scale"))
+
+
 def variance(runs: int, seed: int) -> Rows:
     """Return the mean square, a number, of the normalised errors, and how far chance spreads it."""
     procedure = Procedure(9, COARSE, photos=1, corner_sd_px=0.1)
     plain, covered = Rig(squares_along=6), Rig(squares_along=6, glass_mm=GLASS_MM)
     rng = np.random.default_rng(seed)
-    squares: dict[tuple[str, int], list[float]] = {}
-
-    def add(name: str, error: np.ndarray, covariance: np.ndarray) -> None:
-        squares.setdefault((name, len(error)), []).append(chi_square(error, covariance))
-
+    squares = Squares()
+    add = squares.add
     for _ in range(runs):
-        made = calibrate(plain, procedure, rng, pitch_share=PITCH_SHARE)
-        add("lens", made.lens.lens - plain.lens, made.lens.covariance)
-        add("dry poses, pitch free", pose_errors(plain.poses, made.dry), made.dry.covariance_of(*AIR_PANELS))
-        add("pitch", np.array([made.dry.state.scale - PITCH_SHARE]), made.dry.covariance_of("scale"))
+        _add_dry(squares, plain, procedure, rng)
         slipped = slipped_twice(plain, MAY_SLIP, rng)
         wet = calibrate(plain, procedure, rng, slipped=slipped, slipping=MAY_SLIP).wet
         assert wet is not None
@@ -78,15 +103,16 @@ def variance(runs: int, seed: int) -> Rows:
         together = np.append(_wet_errors(covered, slipped, made.wet), made.wet.state.glass_mm - GLASS_MM)
         names = (*AIR_PANELS, *WET_PANELS, "glass")
         add("dry and wet poses with glass", together, made.wet.covariance_of(*names))
-    return [
-        {
-            "errors of": name,
-            "numbers": numbers,
-            "mean square": float(np.mean(each)) / numbers,
-            "spread by chance": float(np.sqrt(2 / (numbers * runs))),
-        }
-        for (name, numbers), each in squares.items()
-    ]
+    return squares.rows()
+
+
+def pitch(runs: int, seed: int) -> Rows:
+    """Return the same of lens, dry poses and pitch alone, which takes a fraction of the time."""
+    rig, squares = Rig(squares_along=6), Squares()
+    rng = np.random.default_rng(seed)
+    for _ in range(runs):
+        _add_dry(squares, rig, Procedure(9, COARSE, photos=1, corner_sd_px=0.1), rng)
+    return squares.rows()
 
 
 def place(runs: int, seed: int) -> Rows:
@@ -101,6 +127,7 @@ def place(runs: int, seed: int) -> Rows:
         ("30 views of 391 corners", Procedure(30, FINE), False),
         ("45 views of 391 corners", Procedure(45, FINE), False),
         ("45 views of 391 corners, wet again", Procedure(45, FINE), True),
+        ("the same with 16 photos of the display in each set", Procedure(45, FINE, photos=16), True),
     ):
         rng = np.random.default_rng(seed)
         actual, predicted = [], []
@@ -241,6 +268,7 @@ def markdown(rows: Rows) -> str:
 
 STUDIES: dict[str, tuple[Callable[[int, int], Rows], int]] = {
     "variance": (variance, 50),
+    "pitch": (pitch, 500),
     "place": (place, 30),
     "slip": (slip, 10),
     "glass": (glass, 10),

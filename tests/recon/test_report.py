@@ -33,6 +33,7 @@ PANELS = (
     "curves",
     "photos",
     "drawing",
+    "calibration",
     "poses",
     "parts",
     "patterns",

@@ -81,8 +81,12 @@ def test_the_sessions_own_calibration_is_taken_over_and_kept_with_the_result(
     assert any("151 days old" in warning for warning in metrics.warnings)
     assert "calibration.json" in metrics.hashes
     assert (tmp_path / "own" / "calibration.json").read_bytes() == saved
+    assert 'href="calibration.html"' in (tmp_path / "own" / "report.html").read_text()
+    assert "Geometric calibration" in (tmp_path / "own" / "calibration.html").read_text()
     # It says what the manifest said, so the points are the same to rounding.
     run_session(glass_session, tmp_path / "without", Settings(method="paper"))
+    assert "No calibration was used" in (tmp_path / "without" / "report.html").read_text()
+    assert not (tmp_path / "without" / "calibration.html").exists()
     calibrated, plain = (load_maps(tmp_path / name / "maps.npz") for name in ("own", "without"))
     assert np.allclose(calibrated.point_mm, plain.point_mm, atol=1e-9, equal_nan=True)
 
