@@ -83,7 +83,7 @@ clean:  ## remove everything that these targets made
 # What developers need as well; it contains the core, so `demo` installs nothing after it.
 .venv/full.stamp: .venv/made.stamp pyproject.toml constraints.txt
 	@echo "installing into .venv with devices, tests and documentation (once) ..."
-	@$(PIP_INSTALL) --editable '.[rig,cluster,dev,docs]'
+	@$(PIP_INSTALL) --editable '.[rig,cluster,raw,dev,docs]'
 	@touch .venv/core.stamp $@
 
 # Debian ships Python without venv's half that installs pip; fetch it where we may, else say so in one sentence.

@@ -1,4 +1,4 @@
-"""Read photos as grey counts: JPEG straight into a reused buffer, anything else through OpenCV."""
+"""Read photos as grey counts: JPEG straight into a reused buffer, raw files one colour plane, the rest through OpenCV."""
 
 from pathlib import Path
 
@@ -7,6 +7,7 @@ import numpy as np
 import simplejpeg
 
 from recon.errors import SessionError
+from recon.sessions.raw_photos import decode_raw, is_raw
 
 Counts = np.ndarray  # [rows, cols] uint8 or uint16
 
@@ -36,6 +37,8 @@ def read_grey(path: Path, *, rows: int, cols: int, primary: str = "white", buffe
 
 def decode_grey(data: bytes, path: Path, *, primary: str = "white", buffer: np.ndarray | None = None) -> Counts:
     """Return the counts of a photo that is in memory; ``path`` names it in errors. Else as :func:`read_grey`."""
+    if is_raw(path):
+        return decode_raw(data, path, primary=primary)
     if data[:2] == b"\xff\xd8":
         return _decode_jpeg(data, path, primary=primary, buffer=buffer)
     return _decode_other(data, path, primary=primary)
@@ -56,7 +59,9 @@ def _decode_jpeg(data: bytes, path: Path, *, primary: str, buffer: np.ndarray | 
 def _decode_other(data: bytes, path: Path, *, primary: str) -> Counts:
     counts = cv2.imdecode(np.frombuffer(data, np.uint8), cv2.IMREAD_UNCHANGED) if data else None
     if counts is None:
-        raise SessionError(f"{path}: not a photo that can be decoded (JPEG, PNG and TIFF can); take it again")
+        raise SessionError(
+            f"{path}: not a photo that can be decoded (JPEG, PNG, TIFF and raw files can); take it again"
+        )
     if counts.ndim == 3 and primary in PLANE_OF_PRIMARY:
         counts = np.ascontiguousarray(counts[:, :, PLANE_OF_PRIMARY[primary]])
     elif counts.ndim == 3:

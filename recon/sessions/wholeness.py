@@ -3,6 +3,7 @@
 import hashlib
 from collections.abc import Iterator
 from dataclasses import dataclass
+from pathlib import Path
 
 import cv2
 import numpy as np
@@ -12,6 +13,7 @@ from recon.errors import SessionError
 from recon.patterns.pattern_frames import place_of_photo
 from recon.sessions.manifest import Axis, CaptureSet
 from recon.sessions.photos import read_grey
+from recon.sessions.raw_photos import decode_raw, is_raw
 from recon.sessions.session import Session
 
 # A truncated JPEG lacks its end-of-image marker (ITU-T T.81, B.1.1.3).
@@ -127,7 +129,13 @@ def _picture_faults(name: str, data: bytes, *, rows: int, cols: int) -> Iterator
     if not data:
         yield Fault(name, "is empty; take it again")
         return
-    if data[:2] == b"\xff\xd8":
+    if is_raw(Path(name)):
+        try:
+            height, width = decode_raw(data, Path(name), primary="white").shape
+        except SessionError as error:
+            yield Fault(name, str(error).split(": ", 1)[-1])
+            return
+    elif data[:2] == b"\xff\xd8":
         try:
             height, width, _, _ = simplejpeg.decode_jpeg_header(data)
         except ValueError as error:
@@ -138,7 +146,7 @@ def _picture_faults(name: str, data: bytes, *, rows: int, cols: int) -> Iterator
     else:
         picture = cv2.imdecode(np.frombuffer(data, np.uint8), cv2.IMREAD_UNCHANGED)
         if picture is None:
-            yield Fault(name, "not a photo that can be decoded (JPEG, PNG and TIFF can)")
+            yield Fault(name, "not a photo that can be decoded (JPEG, PNG, TIFF and raw files can)")
             return
         height, width = picture.shape[:2]
     if (height, width) != (rows, cols):
