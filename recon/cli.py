@@ -105,7 +105,20 @@ def print_result(metrics: Metrics, out: Path) -> None:
         print(f"  {one.name}: median {one.median:.4g}, rms {one.rms:.4g}, 95 % below {one.p95:.4g} {shown}")
     for warning in metrics.warnings:
         print(f"  note: {warning}")
+    if metrics.doubtful_ranges:
+        print(f"  worth a sweep: {sweep_text(metrics)}; doubtful_ranges in metrics.json tells them set by set")
     print(f"  report: {out / 'report.html'}")
+
+
+def sweep_text(metrics: Metrics) -> str:
+    """Return the columns and rows of the display where a code left readings in doubt."""
+    parts = []
+    for axis, noun in (("x", "columns"), ("y", "rows")):
+        ranges = [one for one in metrics.doubtful_ranges if one.axis == axis]
+        if ranges:
+            first, last = min(one.first_px for one in ranges), max(one.last_px for one in ranges)
+            parts.append(f"{noun} {first} to {last} ({sum(one.pixels for one in ranges)} readings in doubt)")
+    return " and ".join(parts)
 
 
 @app.command("import")

@@ -100,6 +100,16 @@ class SceneComparison(Part):
     error_mm: float | None
 
 
+class DoubtfulRange(Part):
+    """Device pixels, first and last included, that so many pixels of a set see but cannot place: worth an ordinary sweep."""
+
+    set: str
+    axis: Literal["x", "y"]
+    first_px: int
+    last_px: int
+    pixels: int
+
+
 class DisplayMotion(Part):
     """How the display moved in its plane at one position between air and liquid, each with its standard deviation."""
 
@@ -148,6 +158,7 @@ class Metrics(Part):
     photos: tuple[PhotoQuality, ...] = ()
     scene: tuple[SceneComparison, ...] = ()
     scene_note: str = ""
+    doubtful_ranges: tuple[DoubtfulRange, ...] = ()
     registration: RegistrationRecord | None = None
 
 

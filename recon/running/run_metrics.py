@@ -7,7 +7,7 @@ from importlib.metadata import PackageNotFoundError, version
 import numpy as np
 
 from recon.maps import Maps
-from recon.metrics import Funnel, Metrics, SampleCurve
+from recon.metrics import DoubtfulRange, Funnel, Metrics, SampleCurve
 from recon.running.input_hashes import input_hashes
 from recon.running.outcome import Outcome
 from recon.running.settings import Settings
@@ -16,6 +16,7 @@ from recon.sessions.session import Session
 from recon.stage_timer import StageTimer
 from recon.status import PixelStatus
 from recon.sweeps.correspondence import SweepResult
+from recon.sweeps.doubtful_ranges import doubtful_ranges
 from recon.verdict import verdict
 
 LIBRARIES = ("refractive-scan", "numpy", "scipy", "opencv-contrib-python-headless", "simplejpeg", "pyamg")
@@ -61,7 +62,19 @@ def metrics_of(
         scene=scene.comparisons,
         scene_note=scene.note,
         registration=outcome.registration,
+        doubtful_ranges=_doubtful_ranges(session, sweeps),
     )
+
+
+def _doubtful_ranges(session: Session, sweeps: dict[tuple[str, str], SweepResult]) -> tuple[DoubtfulRange, ...]:
+    manifest = session.manifest
+    found: list[DoubtfulRange] = []
+    for each in manifest.sets:
+        for sweep in each.sweeps:
+            device_px = manifest.display.columns if sweep.axis == "x" else manifest.display.rows
+            result = sweeps[each.name, sweep.axis]
+            found += doubtful_ranges(result, sweep.pattern, set_name=each.name, axis=sweep.axis, device_px=device_px)
+    return tuple(found)
 
 
 def _parameters(

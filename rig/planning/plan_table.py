@@ -1,14 +1,18 @@
 """A plan for people: a table of what happens in which order, and what it costs."""
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 
 from rich.console import Console
 from rich.table import Table
 
 from recon.scene.scene_check import REFERENCE
+from rig.capture_sections import GrayLineCode, PhaseShiftCode
 from rig.config import RigConfig
-from rig.planning.plan import summarise
+from rig.planning.plan import all_photos, summarise
 from rig.planning.steps import StartSweep, Step, TakePhoto, step_duration_s, step_text
+
+# What suits a Gray code whose lines are 16 device pixels apart.
+FINE_LINE = {"width_px": 4.0, "step_px": 1.0}
 
 
 def rows_of(plan: Sequence[Step], config: RigConfig) -> Iterator[tuple[str, int, float]]:
@@ -57,6 +61,31 @@ def print_plan(plan: tuple[Step, ...], config: RigConfig, console: Console) -> N
         f"about {summary.gigabytes:.2g} GB and {clock_text(summary.minutes * 60)} (h:min:s)",
         markup=False,
     )
+    console.print(codes_text(config), markup=False)
+
+
+def codes_text(config: RigConfig) -> str:
+    """Say how many photos the capture takes with each code over the same area, without scan and reference photos."""
+    step_px = config.capture.stripe.step_px
+    swept = photos_with(None, config)
+    lines = photos_with(GrayLineCode(kind="gray_line"), config, stripe=FINE_LINE)
+    fringes = photos_with(PhaseShiftCode(kind="phase_shift"), config)
+    return (
+        f"the same area by code: stripe every {step_px:g} px {swept} photos, gray_line {lines}, phase_shift {fringes}"
+    )
+
+
+def photos_with(
+    code: GrayLineCode | PhaseShiftCode | None, config: RigConfig, *, stripe: Mapping[str, float] | None = None
+) -> str:
+    """Return how many photos the capture takes with this code; a dash where the area is too small for it."""
+    capture = config.capture.model_copy(
+        update={"code": code, "scan": None, "stripe": config.capture.stripe.model_copy(update=dict(stripe or {}))}
+    )
+    try:
+        return f"{len(all_photos(config.model_copy(update={'capture': capture}))):,}"
+    except ValueError:
+        return "—"
 
 
 def clock_text(duration_s: float) -> str:
