@@ -53,6 +53,7 @@ def print_plan(plan: tuple[Step, ...], config: RigConfig, console: Console) -> N
     else:
         for text, photos, time in rows:
             console.print(f"{text:60} {photos:>6} {time:>8}", markup=False)
+    console.print(codes_text(config), markup=False)
     summary = summarise(plan, config)
     bound = "at most " if config.capture.scan else ""
     console.print(
@@ -61,7 +62,6 @@ def print_plan(plan: tuple[Step, ...], config: RigConfig, console: Console) -> N
         f"about {summary.gigabytes:.2g} GB and {clock_text(summary.minutes * 60)} (h:min:s)",
         markup=False,
     )
-    console.print(codes_text(config), markup=False)
 
 
 def codes_text(config: RigConfig) -> str:

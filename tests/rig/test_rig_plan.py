@@ -8,6 +8,7 @@ from hypothesis import strategies as st
 
 from rig.config import RigConfig, Tank
 from rig.planning.plan import LEVEL_TOLERANCE, all_photos, plan_capture, set_name, set_order, summarise
+from rig.planning.plan_table import codes_text
 from rig.planning.steps import (
     AskOperator,
     DrainTank,
@@ -190,3 +191,12 @@ def test_the_summary_adds_up_by_hand(config: RigConfig) -> None:
     assert summary.litres == pytest.approx(2 * config.tank.fill_ml / 1000)
     # 72 photos of 2.1 s, 2 × 4000 ml at 1200 ml/min, four ways over 30 mm at 5 mm/s, 3 × 2 s and 60 s of rest
     assert summary.minutes * 60 == pytest.approx(72 * 2.1 + 2 * 200 + 4 * 6 + 3 * 2 + 60)
+
+
+def test_a_display_of_2048_by_1536_takes_264_photos_with_a_gray_code_and_the_plan_says_so() -> None:
+    scene = load_scene("hemisphere").resized(display_columns=2048)
+    config = config_of_scene(scene, SceneOptions(code="gray_line"))
+    assert summarise(plan_capture(config), config).photos == 264
+    assert (
+        codes_text(config) == "the same area by code: stripe every 1 px 14,344 photos, gray_line 264, phase_shift 200"
+    )
