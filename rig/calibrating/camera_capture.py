@@ -21,7 +21,13 @@ from rig.calibrating.calibration_photos import CalibrationCamera
 from rig.calibrating.hands import Hands
 from rig.config import RigConfig
 
-FIRST_ADVICE = "Hold the board so that it fills most of the picture, straight before the camera."
+# While the views are too few to tell what is missing.
+FIRST_ADVICE = (
+    "Hold the board straight before the camera, so that it fills most of the picture.",
+    "Tilt it by about 30°, its top or bottom edge away from the camera.",
+    "Tilt it the other way.",
+    "Hold it into another corner of the picture.",
+)
 LAYOUTS = {
     "new": "layout new",
     "legacy": "layout legacy",
@@ -40,7 +46,9 @@ class LensSoFar:
 
     def advice(self) -> tuple[str, ...]:
         """Return what is missing, the most useful first; empty where the views suffice."""
-        return (FIRST_ADVICE,) if self.estimate is None else self.estimate.advice
+        if self.estimate is None:
+            return FIRST_ADVICE[min(len(self.views), len(FIRST_ADVICE) - 1) :]
+        return self.estimate.advice
 
     def text(self) -> str:
         """Return coverage with its map, residual and outliers in one line."""
@@ -110,6 +118,8 @@ class CameraCapture:
                     self.say(f"{done} · {found.text()}")
         finally:
             self.hands.away()
+        if not found.advice():
+            self.say("nothing is missing")
         return found
 
     def _take_back(self) -> str | None:
