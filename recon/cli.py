@@ -11,7 +11,7 @@ from rich.console import Console
 from recon.batch import command as batch_command
 from recon.errors import ReconError, sentence
 from recon.evaluation import command as evaluation_command
-from recon.metrics import Metrics
+from recon.metrics import Metrics, StageTime
 from recon.progress import progress_bar
 from recon.reconstruct import Limits
 from recon.running.settings import Settings
@@ -71,6 +71,9 @@ def run(
             "the light paths tell it."
         ),
     ] = True,
+    force: Annotated[
+        bool, typer.Option("--force", help="Make everything anew, whatever earlier runs have kept.")
+    ] = False,
 ) -> None:
     """Reconstruct one session: maps, cloud, mesh, numbers and a report."""
     # Loads the report's plotting, which would slow every other command by a second.
@@ -84,10 +87,16 @@ def run(
     )
     out = out or session / f"recon-{method}"
     settings = Settings(
-        method=method, limits=limits, threads=threads, calibration=calibration, registration=registration
+        method=method, limits=limits, threads=threads, calibration=calibration, registration=registration, force=force
     )
-    metrics = run_session(session, out, settings)
+    metrics = run_session(session, out, settings, on_stage=print_stage)
     print_result(metrics, out)
+
+
+def print_stage(stage: StageTime) -> None:
+    """Print how a stage went: kept from an earlier run, or done."""
+    detail = f" ({stage.detail})" if stage.detail else ""
+    print(f"  {stage.name}: {'kept' if stage.kept else f'done in {stage.wall_s:.3g} s'}{detail}", flush=True)
 
 
 def print_result(metrics: Metrics, out: Path) -> None:

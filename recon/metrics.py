@@ -66,6 +66,8 @@ class StageTime(Part):
     name: str
     wall_s: float
     peak_mb: float
+    kept: bool = False  # taken from an earlier run: nothing that it follows from had changed
+    detail: str = ""  # what part of it was kept
 
 
 class PhotoQuality(Part):

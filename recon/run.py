@@ -1,6 +1,7 @@
 """One session in, one folder of results out: the stages of ``recon run`` in order."""
 
 import os
+from collections.abc import Callable
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import replace
 from pathlib import Path
@@ -9,25 +10,33 @@ from recon.calibration.calibration_file import CALIBRATION_NAME, read_calibratio
 from recon.calibration.session_calibration import calibrated_manifest, calibration_path, with_calibration
 from recon.errors import ReconError
 from recon.maps import MAPS_NAME, save_maps
-from recon.metrics import METRICS_NAME, Metrics, save_metrics
+from recon.metrics import METRICS_NAME, Metrics, StageTime, save_metrics
 from recon.progress import progress_bar
 from recon.report.calibration_page import CALIBRATION_PAGE_NAME, write_calibration_page
 from recon.report.writer import write_report
+from recon.running.kept_outcome import forget_outcome, keep_outcome, kept_outcome, outcome_key
+from recon.running.kept_report import keep_report, report_is_kept
+from recon.running.kept_scene import scene_of
 from recon.running.outcome import Outcome, reconstruct
 from recon.running.run_metrics import metrics_of
 from recon.running.settings import Settings
-from recon.scene.scene_stage import scene_stage
 from recon.sessions.session import MANIFEST_NAME, Session, open_session
 from recon.sessions.wholeness import check_whole
 from recon.stage_timer import StageTimer
-from recon.surface.files import write_cloud_ply, write_mesh_glb, write_mesh_ply
+from recon.surface.files import CLOUD_NAME, GLB_NAME, MESH_NAME, write_cloud_ply, write_mesh_glb, write_mesh_ply
 from recon.sweeps.correspondence import SweepResult
 from recon.sweeps.correspondence_store import stored_or_decoded
 
 
-def run_session(session_folder: Path, out: Path, settings: Settings) -> Metrics:
-    """Reconstruct one session into ``out`` and return its numbers; bad input is a one-sentence ``ReconError``."""
-    timer = StageTimer()
+def run_session(
+    session_folder: Path, out: Path, settings: Settings, *, on_stage: Callable[[StageTime], None] = lambda _: None
+) -> Metrics:
+    """Reconstruct one session into ``out`` and return its numbers; bad input is a one-sentence ``ReconError``.
+
+    What an earlier run kept, in the session or in ``out``, is taken where nothing that it follows from has changed.
+    ``on_stage`` hears of each stage as it ends.
+    """
+    timer = StageTimer(on_stage)
     session = open_session(session_folder)
     with timer.stage("check the session"):
         check_whole(session)
@@ -37,29 +46,42 @@ def run_session(session_folder: Path, out: Path, settings: Settings) -> Metrics:
     if calibration is not None:
         session, doubts = with_calibration(session, calibration)
     make_folder(out)
-    with timer.stage("decode the photos"):
-        sweeps = decode_session(session, settings)
-    with timer.stage("points, normals and surface"):
-        outcome = reconstruct(session, sweeps, settings)
-        outcome = replace(outcome, warnings=(*doubts, *outcome.warnings))
-    with timer.stage("write maps, cloud and mesh"):
-        write_arrays(out, outcome)
-    with timer.stage("compare the reference photos"):
-        scene = scene_stage(session, outcome.maps)
+    with timer.stage("decode the photos") as stage:
+        kept: list[str] = []
+        sweeps = decode_session(session, settings, on_kept=kept.append)
+        stage.kept = len(kept) == len(sweeps)
+        stage.detail = f"{len(kept)} of {len(sweeps)} sweeps kept" if kept and not stage.kept else ""
+    with timer.stage("points, normals and surface") as stage:
+        key = outcome_key(session, sweeps, settings)
+        found = None if settings.force else kept_outcome(out, key)
+        stage.kept = found is not None
+        outcome = found or reconstruct(session, sweeps, settings)
+    with timer.stage("write maps, cloud and mesh") as stage:
+        stage.kept = found is not None
+        if found is None:
+            write_arrays(out, outcome, key=key)
+    outcome = replace(outcome, warnings=(*doubts, *outcome.warnings))
+    with timer.stage("compare the reference photos") as stage:
+        scene, stage.kept = scene_of(session, outcome.maps, out=out, outcome_key=key, force=settings.force)
     metrics = metrics_of(session, sweeps, outcome, settings, timer, scene)
     save_metrics(metrics, out / METRICS_NAME)
-    with timer.stage("report"):
-        mesh = outcome.mesh
-        write_report(
-            out,
-            maps=outcome.maps,
-            metrics=metrics,
-            manifest=session.manifest,
-            mesh=None if mesh is None else (mesh.vertices_mm, mesh.faces, mesh.normal),
-            calibration=used,
-        )
-        if used is not None:
-            write_calibration_page(out / CALIBRATION_PAGE_NAME, used)
+    with timer.stage("report") as stage:
+        stage.kept = not settings.force and report_is_kept(out, key, metrics, session.manifest)
+        if not stage.kept:
+            mesh = outcome.mesh
+            pages = [
+                write_report(
+                    out,
+                    maps=outcome.maps,
+                    metrics=metrics,
+                    manifest=session.manifest,
+                    mesh=None if mesh is None else (mesh.vertices_mm, mesh.faces, mesh.normal),
+                    calibration=used,
+                )
+            ]
+            if used is not None:
+                pages.append(write_calibration_page(out / CALIBRATION_PAGE_NAME, used))
+            keep_report(out, key, metrics, session.manifest, pages=pages)
     # A copy of the manifest makes the folder whole: it can be moved, read and evaluated without the session.
     if calibration is None:
         (out / MANIFEST_NAME).write_bytes((session.folder / MANIFEST_NAME).read_bytes())
@@ -82,8 +104,10 @@ def make_folder(out: Path) -> None:
         raise ReconError(f"{out}: cannot be written ({error.strerror}); choose another folder with --out") from error
 
 
-def decode_session(session: Session, settings: Settings) -> dict[tuple[str, str], SweepResult]:
-    """Decode the eight sweeps, one a thread; those that were decoded during the capture are only read."""
+def decode_session(
+    session: Session, settings: Settings, *, on_kept: Callable[[str], None] = lambda _: None
+) -> dict[tuple[str, str], SweepResult]:
+    """Decode the eight sweeps, one a thread; those decoded before are only read, and ``on_kept`` hears of them."""
     wanted = [(one, sweep) for one in session.manifest.sets for sweep in one.sweeps]
     total = sum(sweep.pattern.count for _, sweep in wanted)
     with (
@@ -91,7 +115,16 @@ def decode_session(session: Session, settings: Settings) -> dict[tuple[str, str]
         ThreadPoolExecutor(settings.threads or os.cpu_count()) as pool,
     ):
         running = [
-            pool.submit(stored_or_decoded, session, one, sweep.axis, method=settings.method, on_photo=step)
+            pool.submit(
+                stored_or_decoded,
+                session,
+                one,
+                sweep.axis,
+                method=settings.method,
+                force=settings.force,
+                on_photo=step,
+                on_kept=on_kept,
+            )
             for one, sweep in wanted
         ]
         try:
@@ -101,15 +134,20 @@ def decode_session(session: Session, settings: Settings) -> dict[tuple[str, str]
             raise
 
 
-def write_arrays(out: Path, outcome: Outcome) -> None:
-    """Write ``maps.npz``, ``cloud.ply``, ``mesh.ply`` and ``mesh.glb``."""
+def write_arrays(out: Path, outcome: Outcome, *, key: str) -> None:
+    """Write ``maps.npz``, ``cloud.ply``, ``mesh.ply`` and ``mesh.glb``, and keep them for the next run under ``key``."""
     maps = outcome.maps
     valid = maps.valid()
     try:
+        forget_outcome(out)
         save_maps(maps, out / MAPS_NAME)
-        write_cloud_ply(out / "cloud.ply", maps.point_mm[valid], maps.normal[valid], maps.sd_mm[valid])
+        write_cloud_ply(out / CLOUD_NAME, maps.point_mm[valid], maps.normal[valid], maps.sd_mm[valid])
         if outcome.mesh is not None:
-            write_mesh_ply(out / "mesh.ply", outcome.mesh)
-            write_mesh_glb(out / "mesh.glb", outcome.mesh)
+            write_mesh_ply(out / MESH_NAME, outcome.mesh)
+            write_mesh_glb(out / GLB_NAME, outcome.mesh)
+        else:  # the surface of an earlier run is not that of these maps
+            (out / MESH_NAME).unlink(missing_ok=True)
+            (out / GLB_NAME).unlink(missing_ok=True)
+        keep_outcome(out, key, outcome)
     except OSError as error:
         raise ReconError(f"{out}: cannot be written ({error.strerror}); free some space") from error

@@ -3,8 +3,9 @@
 import resource
 import sys
 import time
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from contextlib import contextmanager
+from dataclasses import dataclass
 
 from recon.metrics import StageTime
 
@@ -15,18 +16,32 @@ def peak_memory_mb() -> float:
     return size / (1e6 if sys.platform == "darwin" else 1e3)
 
 
-class StageTimer:
-    """Collects one :class:`~recon.metrics.StageTime` a stage, in order."""
+@dataclass(slots=True)
+class Stage:
+    """What a stage has to say of itself: whether all of it was kept from an earlier run, or what part."""
 
-    def __init__(self) -> None:
+    kept: bool = False
+    detail: str = ""
+
+
+class StageTimer:
+    """Collects one :class:`~recon.metrics.StageTime` a stage, in order; ``on_stage`` hears of each as it ends."""
+
+    def __init__(self, on_stage: Callable[[StageTime], None] = lambda _: None) -> None:
         self._stages: list[StageTime] = []
+        self._on_stage = on_stage
 
     @contextmanager
-    def stage(self, name: str) -> Iterator[None]:
+    def stage(self, name: str) -> Iterator[Stage]:
         """Time what runs inside; the memory is the process's peak at the stage's end."""
         start = time.perf_counter()
-        yield
-        self._stages.append(StageTime(name=name, wall_s=time.perf_counter() - start, peak_mb=peak_memory_mb()))
+        stage = Stage()
+        yield stage
+        took_s = time.perf_counter() - start
+        self._stages.append(
+            StageTime(name=name, wall_s=took_s, peak_mb=peak_memory_mb(), kept=stage.kept, detail=stage.detail)
+        )
+        self._on_stage(self._stages[-1])
 
     def stages(self) -> tuple[StageTime, ...]:
         """Return the finished stages."""

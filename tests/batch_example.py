@@ -21,18 +21,21 @@ SCENES = ("hemisphere", "semi_ellipsoid", "ornament")
 EQUAL_FILES = ("maps.npz", "cloud.ply", "mesh.ply", "mesh.glb", "manifest.json")
 
 
+def simulate_one(folder: Path, *, scene_name: str, size: int, display_columns: int, seed: int) -> None:
+    """Write a session of a scene, ``size`` photo pixels wide, with noise of its own."""
+    options = SceneOptions(camera_columns=size, display_columns=display_columns, width_px=12.0, step_px=4.0, seed=seed)
+    scene = open_scene(scene_name, options)
+    simulate_session(scene, config_of_scene(scene, options), folder, workers=1, console=Console(quiet=True))
+
+
 def make_sessions(folder: Path, *, good: int, size: int, display_columns: int) -> list[str]:
     """Write ``good`` sessions of several scenes, each with noise of its own, and two broken ones; return the good ones' names."""
     names = []
     for number in range(good):
         scene_name = SCENES[number % len(SCENES)]
-        options = SceneOptions(
-            camera_columns=size, display_columns=display_columns, width_px=12.0, step_px=4.0, seed=number + 1
-        )
-        scene = open_scene(scene_name, options)
         names.append(f"{number + 1:02d}-{scene_name}")
-        simulate_session(
-            scene, config_of_scene(scene, options), folder / names[-1], workers=1, console=Console(quiet=True)
+        simulate_one(
+            folder / names[-1], scene_name=scene_name, size=size, display_columns=display_columns, seed=number + 1
         )
     shutil.copytree(folder / names[0], folder / "broken-manifest")
     text = (folder / "broken-manifest" / "manifest.json").read_text()

@@ -3,7 +3,7 @@
 import hashlib
 import json
 import secrets
-from dataclasses import asdict, dataclass, field
+from dataclasses import dataclass, field
 from datetime import UTC, datetime
 from pathlib import Path
 
@@ -45,7 +45,7 @@ class Batch:
     @property
     def settings_hash(self) -> str:
         """A hash of all that changes a result: not the number of threads."""
-        parts = {name: value for name, value in asdict(self.settings).items() if name != "threads"}
+        parts = {**self.settings.result_parts(), "calibration": self.settings.calibration}
         return hashlib.sha256(json.dumps(parts, sort_keys=True, default=str).encode()).hexdigest()[:20]
 
     def waiting(self, name: str) -> SessionStatus:

@@ -54,6 +54,9 @@ def batch_command(
         str | None,
         typer.Option(metavar="ADDRESS", help="Run on the Dask cluster of this scheduler, such as tcp://node1:8786."),
     ] = None,
+    force: Annotated[
+        bool, typer.Option("--force", help="Make everything anew, whatever earlier runs have kept.")
+    ] = False,
     resume: Annotated[
         bool, typer.Option("--resume", help="Leave out what is done, or failed, with these settings.")
     ] = False,
@@ -63,7 +66,7 @@ def batch_command(
     if scheduler and jobs:
         raise ReconError("--jobs is for this machine; on a cluster its workers are the number of sessions at a time")
     named = sessions_asked(sessions) if sessions else recorded_sessions(out)
-    settings = Settings(method=method, threads=threads, calibration=calibration and calibration.resolve())
+    settings = Settings(method=method, threads=threads, calibration=calibration and calibration.resolve(), force=force)
     batch = Batch(out.resolve(), named, settings)
     save_record(batch)
     names = chosen(batch, resume=resume, only_failed=only == "failed")

@@ -3,14 +3,13 @@
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 
-import numpy as np
-import trimesh
-
 from recon.calibration.calibration_file import CALIBRATION_NAME, read_calibration
 from recon.maps import MAPS_NAME, load_maps
 from recon.metrics import METRICS_NAME, load_metrics
 from recon.report.writer import REPORT_NAME, write_report
+from recon.running.kept_stages import keep_rewritten
 from recon.sessions.session import MANIFEST_NAME, parse_manifest
+from recon.surface.files import MESH_NAME, read_mesh_ply
 
 
 def rewrite_report(run_folder: Path, evaluation: Sequence[Mapping[str, object]]) -> Path | None:
@@ -19,16 +18,12 @@ def rewrite_report(run_folder: Path, evaluation: Sequence[Mapping[str, object]])
     if not source.exists() or not (run_folder / REPORT_NAME).exists():
         return None
     calibration = run_folder / CALIBRATION_NAME
-    mesh_file = run_folder / "mesh.ply"
+    mesh_file = run_folder / MESH_NAME
     mesh = None
     if mesh_file.exists():
-        loaded = trimesh.load_mesh(mesh_file, process=False)
-        mesh = (
-            np.asarray(loaded.vertices, dtype=np.float64),
-            np.asarray(loaded.faces, dtype=np.int32),
-            np.asarray(loaded.vertex_normals, dtype=np.float64),
-        )
-    return write_report(
+        loaded = read_mesh_ply(mesh_file)
+        mesh = (loaded.vertices_mm, loaded.faces, loaded.normal)
+    path = write_report(
         run_folder,
         maps=load_maps(run_folder / MAPS_NAME),
         metrics=load_metrics(run_folder / METRICS_NAME),
@@ -37,3 +32,5 @@ def rewrite_report(run_folder: Path, evaluation: Sequence[Mapping[str, object]])
         evaluation=evaluation,
         calibration=read_calibration(calibration) if calibration.is_file() else None,
     )
+    keep_rewritten(run_folder, REPORT_NAME)
+    return path

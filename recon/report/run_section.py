@@ -124,7 +124,7 @@ def stages_panel(metrics: Metrics) -> Panel:
     largest_mb = max((stage.peak_mb for stage in metrics.stages), default=0.0)
     bars = [
         {
-            "name": stage.name,
+            "name": f"{stage.name} (kept)" if stage.kept else stage.name,
             "time": duration(stage.wall_s),
             "memory": memory(stage.peak_mb),
             "width": 100 * stage.wall_s / longest_s,

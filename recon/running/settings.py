@@ -1,6 +1,6 @@
 """What a reconstruction may be told."""
 
-from dataclasses import dataclass, field
+from dataclasses import asdict, dataclass, field
 from pathlib import Path
 
 from recon.reconstruct import Limits
@@ -13,6 +13,7 @@ class Settings:
 
     ``threads`` = 0 takes every core; without a ``calibration`` the session's own ``calibration.json`` counts, if it has one.
     ``registration``: method ``full`` measures how the display slipped between air and liquid, and corrects its poses.
+    ``force`` makes everything anew, whatever earlier runs have kept.
     """
 
     method: Method = "full"
@@ -20,3 +21,9 @@ class Settings:
     threads: int = 0
     calibration: Path | None = None
     registration: bool = True
+    force: bool = False
+
+    def result_parts(self) -> dict[str, object]:
+        """Return all that changes a result, for its hash; a calibration counts by what is in it, not by its name."""
+        beside = ("threads", "calibration", "force")
+        return {name: value for name, value in asdict(self).items() if name not in beside}

@@ -16,6 +16,7 @@ from jaxtyping import Float32, Float64
 from recon.errors import ReconError
 from recon.surface.mesh import Mesh
 
+CLOUD_NAME, MESH_NAME, GLB_NAME = "cloud.ply", "mesh.ply", "mesh.glb"
 VERTEX = np.dtype([(name, "<f4") for name in ("x", "y", "z", "nx", "ny", "nz")])
 CLOUD_POINT = np.dtype([*VERTEX.descr, ("sd", "<f4")])
 FACE = np.dtype([("count", "u1"), ("vertices", "<i4", (3,))])
@@ -49,6 +50,19 @@ def write_mesh_ply(path: Path, mesh: Mesh) -> None:
         records["count"] = 3
         records["vertices"] = mesh.faces
         file.write(records.tobytes())
+
+
+def read_mesh_ply(path: Path) -> Mesh:
+    """Read a mesh that :func:`write_mesh_ply` wrote; raises ``ReconError`` with one sentence where it cannot."""
+    try:
+        loaded = trimesh.load_mesh(path, process=False)
+        return Mesh(
+            np.asarray(loaded.vertices, dtype=np.float64),
+            np.asarray(loaded.faces, dtype=np.int32),
+            np.asarray(loaded.vertex_normals, dtype=np.float64),
+        )
+    except (OSError, ValueError, AttributeError) as error:
+        raise ReconError(f"{path}: not a mesh that can be read ({error}); run `recon run` again") from None
 
 
 def write_mesh_glb(path: Path, mesh: Mesh) -> None:

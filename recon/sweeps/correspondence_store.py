@@ -7,8 +7,9 @@ nothing has to be kept up to date, and the folder can be deleted at any time.
 """
 
 import hashlib
-import io
 import json
+import logging
+import os
 import zipfile
 from collections.abc import Callable
 from dataclasses import asdict
@@ -19,7 +20,7 @@ import numpy as np
 from recon.calibration.response_record import RESPONSE_NAME
 from recon.metrics import PhotoQuality, SampleCurve
 from recon.program import program_hash
-from recon.sessions.disk import Disk, make_folders, write_whole
+from recon.sessions.disk import PART_SUFFIX, Disk, make_folders
 from recon.sessions.manifest import Axis, CaptureSet
 from recon.sessions.session import Session
 from recon.sweeps.correspondence import Method, SweepResult
@@ -27,6 +28,8 @@ from recon.sweeps.decode_pattern import decode_pattern
 from recon.sweeps.noise import NoiseModel
 
 STORE_NAME = "correspondence"
+KEY_DIGITS = 20
+LOG = logging.getLogger(__name__)
 ARRAYS = ("place_px", "sd_px", "status")
 
 
@@ -62,7 +65,7 @@ def store_path(session: Session, capture_set: CaptureSet, axis: Axis, *, method:
     key = store_key(session, capture_set, axis, method=method)
     if key is None:
         return None
-    return session.folder / STORE_NAME / f"{capture_set.name}-{axis}-{method}-{key[:20]}.npz"
+    return session.folder / STORE_NAME / f"{capture_set.name}-{axis}-{method}-{key[:KEY_DIGITS]}.npz"
 
 
 def load_stored(session: Session, capture_set: CaptureSet, axis: Axis, *, method: Method) -> SweepResult | None:
@@ -101,13 +104,24 @@ def save_stored(
         "curves": [curve.model_dump() for curve in result.curves],
     }
     arrays = {name: getattr(result, name) for name in ARRAYS}
-    packed = io.BytesIO()
-    np.savez(packed, rest=np.frombuffer(json.dumps(rest).encode(), dtype=np.uint8), **arrays)
-    # Not flushed to the disk one by one: what a power cut takes can be decoded again.
-    disk = Disk(durable=False)
-    make_folders(path.parent, disk=disk)
-    write_whole(path, packed.getvalue(), disk=disk)
+    make_folders(path.parent, disk=Disk(durable=False))
+    # Each process a name of its own: two may decode the same sweep. Not flushed: a power cut takes what can be decoded again.
+    temporary = path.with_name(f"{path.name}.{os.getpid()}{PART_SUFFIX}")
+    try:
+        with temporary.open("wb") as file:
+            np.savez(file, rest=np.frombuffer(json.dumps(rest).encode(), dtype=np.uint8), **arrays)
+        temporary.replace(path)
+    finally:
+        temporary.unlink(missing_ok=True)
+    _forget_others(path)
     return path
+
+
+def _forget_others(path: Path) -> None:
+    """Remove the results of the same sweep that photos or programs of the past have left."""
+    for other in path.parent.glob(path.name[: -len(".npz") - KEY_DIGITS] + "?" * KEY_DIGITS + ".npz"):
+        if other != path:
+            other.unlink(missing_ok=True)
 
 
 def stored_or_decoded(
@@ -116,12 +130,20 @@ def stored_or_decoded(
     axis: Axis,
     *,
     method: Method,
+    force: bool = False,
     on_photo: Callable[[], None] = lambda: None,
+    on_kept: Callable[[str], None] = lambda _: None,
 ) -> SweepResult:
-    """Return the result of a sweep: the kept one where it is valid, else decoded from its photos."""
-    found = load_stored(session, capture_set, axis, method=method)
-    if found is None:
-        return decode_pattern(session, capture_set, axis, method=method, on_photo=on_photo)
-    for _ in session.photo_numbers(capture_set, axis):
-        on_photo()
-    return found
+    """Return the result of a sweep: the kept one where it is valid (``on_kept`` hears of it), else decoded and kept."""
+    found = None if force else load_stored(session, capture_set, axis, method=method)
+    if found is not None:
+        for _ in session.photo_numbers(capture_set, axis):
+            on_photo()
+        on_kept(f"{capture_set.name}/{axis}")
+        return found
+    result = decode_pattern(session, capture_set, axis, method=method, on_photo=on_photo)
+    try:
+        save_stored(session, capture_set, axis, result, method=method)
+    except OSError as error:  # a session on a medium that cannot be written, or that is full
+        LOG.warning("%s/%s cannot be kept for the next run (%s)", capture_set.name, axis, error.strerror)
+    return result

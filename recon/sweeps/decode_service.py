@@ -22,7 +22,7 @@ from recon.sessions.manifest import Axis
 from recon.sessions.session import open_session
 from recon.status import PixelStatus
 from recon.sweeps.correspondence import Method, SweepResult
-from recon.sweeps.correspondence_store import load_stored, save_stored, stored_or_decoded
+from recon.sweeps.correspondence_store import stored_or_decoded
 from recon.sweeps.sweep_quality import sweep_quality
 
 # The camera must never wait for this process.
@@ -48,8 +48,6 @@ def _decoded(folder: Path, set_name: str, axis: Axis) -> dict[str, Any]:
     session = open_session(folder)
     capture_set = session.manifest.set_named(set_name)
     result = stored_or_decoded(session, capture_set, axis, method=METHOD)
-    if load_stored(session, capture_set, axis, method=METHOD) is None:
-        save_stored(session, capture_set, axis, result, method=METHOD)
     return {"quality": asdict(sweep_quality(result, set_name=set_name, axis=axis))}
 
 
