@@ -80,7 +80,8 @@ def run_session(
                 )
             ]
             if used is not None:
-                pages.append(write_calibration_page(out / CALIBRATION_PAGE_NAME, used))
+                pages.append(out / CALIBRATION_PAGE_NAME)
+                write_calibration_page(pages[-1], used)
             keep_report(out, key, metrics, session.manifest, pages=pages)
     # A copy of the manifest makes the folder whole: it can be moved, read and evaluated without the session.
     if calibration is None:
