@@ -12,11 +12,9 @@ from recon.sessions.manifest import Axis, CaptureSet, StripePattern
 from recon.sessions.photos import read_grey, saturation_count
 from recon.sessions.session import Session
 from recon.status import PixelStatus
-from recon.sweeps.footprint import coordinate_gradient
-from recon.sweeps.noise import NoiseModel, dark_variance, noise_from_residuals
+from recon.sweeps.likelihood import places_by_likelihood
+from recon.sweeps.noise import NoiseModel, dark_variance
 from recon.sweeps.sample_curves import sample_curves
-from recon.sweeps.stripe_fit import curve_samples, fit_stripe
-from recon.sweeps.stripe_model import expected_curve
 from recon.sweeps.stripe_peak import NO_PEAK, PeakTracker, PeakWindows, parabola_offset
 
 Method = Literal["paper", "full"]
@@ -26,9 +24,6 @@ PEAK_SIGMA = 6.0
 LEAST_PEAK_COUNTS = 2.0
 # Sharp profiles are seen in one or two photos; a broad footprint spreads them over some more.
 NEIGHBOURS_BEYOND_PROFILE = 3
-# A curve whose misfit is a quarter of its height is not that of one stripe.
-LARGEST_MISFIT = 0.25
-NOISE_SAMPLE_PIXELS = 8000
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -185,123 +180,21 @@ def place_by_likelihood(
     """Return the most likely place of the stripe in each pixel's window, with its standard deviation."""
     status = _status(windows, black.shape).ravel()
     pixels = np.flatnonzero(status == PixelStatus.OK)
-    brightest_px = pattern.first_px + pattern.step_px * windows.peak_index[pixels].astype(np.float64)
-    place = _centroid(windows, pixels, pattern, black=black)
-    noise = NoiseModel(dark)
-    fit = None
-    footprint = np.zeros((len(pixels), 2))
-    # The footprint comes from the map's gradient and the map from the fit: twice round is enough.
-    for last in (False, True):
-        footprint = _footprint(place, pixels, black.shape, quantum_px=2 * pattern.step_px)
-        noise = _noise(
-            windows,
-            pixels,
-            place,
-            footprint,
-            noise=noise,
-            black=black,
-            pattern=pattern,
-            clipped=clipped,
-            continuous=continuous,
-        )
-        fit = fit_stripe(
-            windows,
-            pixels,
-            place,
-            footprint,
-            black=black.ravel(),
-            pattern=pattern,
-            noise=noise,
-            clipped=clipped,
-            continuous=continuous,
-            intervals=last,
-        )
-        place = np.clip(fit.place_px, brightest_px - 2 * pattern.step_px, brightest_px + 2 * pattern.step_px)
-    assert fit is not None
-    residual_rms = np.sqrt(fit.chi_square / (fit.freedom + 3) * noise.variance(fit.amplitude / 2))
-    # A place known no better than the stripe's own width says nothing.
-    vague = ~(fit.sd_px < max(pattern.width_px, pattern.step_px))
-    bad = (residual_rms > LARGEST_MISFIT * fit.amplitude) | (fit.amplitude <= 0) | vague
-    status[pixels[bad]] = PixelStatus.BAD_FIT
+    places = places_by_likelihood(
+        windows, pixels, pattern, black=black, dark_variance=dark, clipped=clipped, continuous=continuous
+    )
+    good, fit = places.good, places.fit
+    status[pixels[~good]] = PixelStatus.BAD_FIT
     place_map = np.full(black.size, np.nan)
     sd_map = np.full(black.size, np.nan, dtype=np.float32)
-    place_map[pixels[~bad]] = fit.place_px[~bad]
-    sd_map[pixels[~bad]] = fit.sd_px[~bad]
+    place_map[pixels[good]] = fit.place_px[good]
+    sd_map[pixels[good]] = fit.sd_px[good]
     return SweepResult(
         place_px=place_map.reshape(black.shape),
         sd_px=sd_map.reshape(black.shape),
         status=status.reshape(black.shape),
-        noise=noise,
+        noise=places.noise,
         misfit=float(np.median(fit.chi_square / fit.freedom)) if len(pixels) else float("nan"),
         photos=photos,
-        curves=sample_curves(
-            windows,
-            black,
-            photos,
-            pattern=pattern,
-            place=place_map,
-            fit=(pixels, fit, footprint),
-            continuous=continuous,
-        ),
-    )
-
-
-def _centroid(windows: PeakWindows, pixels: np.ndarray, pattern: StripePattern, *, black: np.ndarray) -> np.ndarray:
-    """Return a first guess in device pixels: the centre of mass of the samples nearest to the brightest."""
-    reach = min(2, windows.half_width)
-    columns = slice(windows.half_width - reach, windows.half_width + reach + 1)
-    height = windows.samples[pixels, columns].astype(np.float64) - black.ravel()[pixels, None]
-    height = np.maximum(height, 0.0)
-    offset = (height @ np.arange(-reach, reach + 1.0)) / np.maximum(height.sum(axis=1), 1e-9)
-    return pattern.first_px + pattern.step_px * (windows.peak_index[pixels] + offset)
-
-
-def _footprint(place: np.ndarray, pixels: np.ndarray, shape: tuple[int, int], *, quantum_px: float) -> np.ndarray:
-    place_map = np.full(shape, np.nan)
-    place_map.ravel()[pixels] = place
-    gradient = coordinate_gradient(place_map, np.isfinite(place_map), quantum_px=quantum_px)
-    widths = np.abs(gradient).reshape(-1, 2)[pixels]
-    known = np.isfinite(widths).all(axis=1)
-    typical = np.median(widths[known], axis=0) if known.any() else np.array([0.5, 0.5])
-    return np.where(known[:, None], widths, typical)
-
-
-def _noise(
-    windows: PeakWindows,
-    pixels: np.ndarray,
-    place: np.ndarray,
-    footprint: np.ndarray,
-    *,
-    noise: NoiseModel,
-    black: np.ndarray,
-    pattern: StripePattern,
-    clipped: int,
-    continuous: bool,
-) -> NoiseModel:
-    """Fit an even sample of the pixels with the noise known so far and read the noise from what is left."""
-    some = np.arange(0, len(pixels), max(-(-len(pixels) // NOISE_SAMPLE_PIXELS), 1))
-    if len(some) == 0:
-        return noise
-    fit = fit_stripe(
-        windows,
-        pixels[some],
-        place[some],
-        footprint[some],
-        black=black.ravel(),
-        pattern=pattern,
-        noise=noise,
-        clipped=clipped,
-        continuous=continuous,
-        intervals=False,
-    )
-    samples = curve_samples(windows, pixels[some], black=black.ravel(), pattern=pattern, clipped=clipped)
-    shape, _ = expected_curve(samples.place_px, fit.place_px, footprint[some], pattern=pattern, continuous=continuous)
-    model = fit.amplitude[:, None] * shape
-    residual = samples.counts - fit.background[:, None] - model
-    used = samples.usable
-    return noise_from_residuals(
-        model[used],
-        residual[used],
-        read_variance=noise.read_variance,
-        freedom_share=float(fit.freedom.mean()) / float(used.sum(axis=1).mean()),
+        curves=sample_curves(windows, black, photos, pattern=pattern, place=place_map, fit=places),
     )

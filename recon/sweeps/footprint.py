@@ -5,6 +5,9 @@ import numpy as np
 from jaxtyping import Bool, Float64
 
 WINDOW_PX = 5
+# Where a small window spans less than this many quanta of the places it sees their steps; a larger one is taken.
+LARGE_WINDOW_PX = 15
+FEWEST_QUANTA = 2.5
 # A slope needs a few neighbours, and not all of them in one line.
 FEWEST_NEIGHBOURS = 6
 
@@ -12,16 +15,25 @@ FEWEST_NEIGHBOURS = 6
 def coordinate_gradient(
     place_px: Float64[np.ndarray, "rows cols"], valid: Bool[np.ndarray, "rows cols"], *, quantum_px: float
 ) -> Float64[np.ndarray, "rows cols 2"]:
-    """Return (du/dcol, du/drow) of a coordinate map by least squares over 5 by 5 valid neighbours; NaN where too few.
+    """Return (du/dcol, du/drow) of a coordinate map by least squares over valid neighbours; NaN where too few.
 
-    A weighted plane u = u0 + g·(col, row) is fitted about each pixel; pixels far from their neighbours' median are left out.
-    ``quantum_px`` is how coarse the places may be: a step of the sweep is no outlier where pixels are finer than steps.
+    A plane u = u0 + g·(col, row) is fitted to 5 by 5 pixels about each, or to 15 by 15 where the smaller window sees only a
+    few steps of the places; pixels far from their neighbours' median are left out. ``quantum_px`` is how coarse the places
+    may be: a step of the sweep is no outlier where pixels are finer than steps.
     """
     filled = np.where(valid, place_px, 0.0)
     median = cv2.medianBlur(filled.astype(np.float32), WINDOW_PX)
     spread = cv2.medianBlur(np.abs(filled - median).astype(np.float32), WINDOW_PX)
-    keep = valid & (np.abs(filled - median) <= 6 * spread + quantum_px)
-    half = WINDOW_PX // 2
+    keep = valid & (np.abs(filled - median) <= 6 * spread + 2 * quantum_px)
+    small = _plane_slopes(place_px, keep, window_px=WINDOW_PX)
+    large = _plane_slopes(place_px, keep, window_px=LARGE_WINDOW_PX)
+    stepped = np.abs(large).sum(axis=-1) * WINDOW_PX < FEWEST_QUANTA * quantum_px
+    return np.where(stepped[..., None], large, small)
+
+
+def _plane_slopes(place_px: np.ndarray, keep: np.ndarray, *, window_px: int) -> np.ndarray:
+    """Return the slopes of the plane through the kept pixels of each window; NaN where these are too few or in one line."""
+    half = window_px // 2
     step = np.arange(-half, half + 1, dtype=np.float64)
     one = np.ones_like(step)
 

@@ -6,12 +6,19 @@ from dataclasses import dataclass
 import numpy as np
 from scipy.optimize import nnls
 
+from recon.sweeps.stripe_peak import PeakWindows
+
 # Rounding to whole counts alone has this variance.
 ROUNDING_VARIANCE = 1 / 12
 # Median of the square of a standard normal variable.
 CHI_SQUARE_MEDIAN = 0.4549
 SIGNAL_BINS = 12
 FEWEST_IN_BIN = 200
+# Samples below this share of the brightest are dark ones.
+DARK_SHARE = 2e-3
+# A pixel is lit in one photo alone where the photos beside it hold less than this share of its light.
+LONE_SHARE = 0.01
+LARGEST_STEP_SHARE = 0.1
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -46,16 +53,37 @@ def dark_variance(first: np.ndarray, second: np.ndarray) -> float:
     return max(variance, ROUNDING_VARIANCE)
 
 
+def _clipped_variance(residual: np.ndarray) -> float:
+    """Return the mean square of the residuals without those beyond four standard deviations."""
+    square = residual.astype(np.float64) ** 2
+    variance = float(np.median(square)) / CHI_SQUARE_MEDIAN
+    for _ in range(3):
+        variance = float(square[square <= 16 * variance].mean())
+    return variance
+
+
 def noise_from_residuals(
-    signal: np.ndarray, residual: np.ndarray, *, read_variance: float, freedom_share: float
+    signal: np.ndarray,
+    residual: np.ndarray,
+    *,
+    read_variance: float,
+    freedom_share: float,
+    more: tuple[float, float] | None = None,
 ) -> NoiseModel:
     """Return the noise model that the residuals of a first fit show.
 
     ``signal`` is the model's height above black and ``residual`` the sample minus the model, in counts; ``freedom_share`` is
-    degrees of freedom over samples. Variances are taken bin by bin from medians, so that pixels that do not follow the
-    model weigh little, and the two terms that grow with the signal are laid through them, neither below zero.
+    degrees of freedom over samples; ``more`` is one more (height, variance) from elsewhere. Variances are taken bin by bin
+    from medians, so that pixels that do not follow the model weigh little, and the two terms that grow with the signal are
+    laid through them, neither below zero.
     """
+    if len(signal) == 0:
+        return NoiseModel(read_variance)
     brightest = float(np.quantile(signal, 0.999))
+    # Beside a bright stripe even dark samples are noisier than far from it: glare, and the ringing of compressed photos.
+    dark = residual[signal < max(np.sqrt(read_variance), DARK_SHARE * brightest)]
+    if len(dark) >= FEWEST_IN_BIN:
+        read_variance = max(read_variance, _clipped_variance(dark))
     edges = np.geomspace(max(np.sqrt(read_variance), brightest * 1e-3), brightest, SIGNAL_BINS + 1)
     places, variances = [], []
     for low, high in itertools.pairwise(edges):
@@ -63,7 +91,10 @@ def noise_from_residuals(
         if np.count_nonzero(inside) >= FEWEST_IN_BIN:
             places.append(float(signal[inside].mean()))
             variances.append(float(np.median(residual[inside] ** 2)) / CHI_SQUARE_MEDIAN / freedom_share)
-    if len(places) < 3:
+    if more is not None:
+        places.append(more[0])
+        variances.append(more[1])
+    if len(places) < (3 if more is None else 1):
         return NoiseModel(read_variance)
     place, variance = np.array(places), np.array(variances)
     # Relative errors of the binned variances are alike, so each weighs by one over itself.
@@ -71,3 +102,28 @@ def noise_from_residuals(
     terms = np.stack([place, place**2], axis=1) * weight[:, None]
     (gain, relative_squared), _ = nnls(terms, np.maximum(variance - read_variance, 0.0) * weight)
     return NoiseModel(read_variance, float(gain), float(np.sqrt(relative_squared)))
+
+
+def lone_peak_variance(
+    windows: PeakWindows, black: np.ndarray, *, clipped: int, dark_variance: float
+) -> tuple[float, float] | None:
+    """Return height and variance of the samples of pixels that the stripe lit in a single photo, or None where they are few.
+
+    A fit follows such a sample whatever its noise. But neighbours lit by the same stripe alone are lit alike, so that their
+    difference tells the variance of a fully lit sample.
+    """
+    middle = windows.half_width
+    dark = black.ravel().astype(np.float32)
+    peak = windows.samples[:, middle].astype(np.float32) - dark
+    beside = np.maximum(windows.samples[:, middle - 1], windows.samples[:, middle + 1]).astype(np.float32) - dark
+    lone = (windows.peak_index >= 0) & (windows.samples[:, middle] < clipped)
+    lone &= beside < np.maximum(LONE_SHARE * peak, 3 * np.sqrt(dark_variance))
+    lone, peak, index = lone.reshape(black.shape), peak.reshape(black.shape), windows.peak_index.reshape(black.shape)
+    pair = lone[:, 1:] & lone[:, :-1] & (index[:, 1:] == index[:, :-1])
+    # A pixel that sees its stripe through a rim is darker than its neighbour: not noise.
+    pair &= np.abs(peak[:, 1:] - peak[:, :-1]) < LARGEST_STEP_SHARE * (peak[:, 1:] + peak[:, :-1])
+    if np.count_nonzero(pair) < FEWEST_IN_BIN:
+        return None
+    height = 0.5 * (peak[:, 1:] + peak[:, :-1])[pair]
+    square = 0.5 * (peak[:, 1:] - peak[:, :-1])[pair].astype(np.float64) ** 2
+    return float(np.median(height)), float(np.median(square)) / CHI_SQUARE_MEDIAN

@@ -19,10 +19,12 @@ from recon.sessions.pattern import PhaseShiftPattern
 from recon.sessions.photos import saturation_count
 from recon.sessions.session import Session
 from recon.status import PixelStatus
-from recon.sweeps.correspondence import LARGEST_MISFIT, LEAST_PEAK_COUNTS, NOISE_SAMPLE_PIXELS, PEAK_SIGMA, SweepResult
+from recon.sweeps.correspondence import LEAST_PEAK_COUNTS, PEAK_SIGMA, SweepResult
+from recon.sweeps.likelihood import LARGEST_MISFIT
 from recon.sweeps.noise import ROUNDING_VARIANCE, NoiseModel, noise_from_residuals
 from recon.sweeps.photo_stream import black_photo, has_black, photo_stream
 
+NOISE_SAMPLE_PIXELS = 8000
 # A finer period must be where the coarser one says, to this share of it; half of it would be the next one.
 FARTHEST_FROM_COARSER = 0.35
 # Five standard deviations of the coarser place must stay within half of the finer period.

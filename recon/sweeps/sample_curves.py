@@ -4,8 +4,7 @@ import numpy as np
 
 from recon.metrics import PhotoQuality, SampleCurve
 from recon.sessions.manifest import StripePattern
-from recon.sweeps.stripe_fit import StripeFit
-from recon.sweeps.stripe_model import expected_curve
+from recon.sweeps.likelihood import LikelihoodPlaces
 from recon.sweeps.stripe_peak import PeakWindows
 
 # An even lattice of candidates; the report draws some of those that became points.
@@ -19,13 +18,9 @@ def sample_curves(
     *,
     pattern: StripePattern,
     place: np.ndarray,
-    fit: tuple[np.ndarray, StripeFit, np.ndarray] | None = None,
-    continuous: bool = False,
+    fit: LikelihoodPlaces | None = None,
 ) -> tuple[SampleCurve, ...]:
-    """Return the curves of a lattice of pixels that have a place.
-
-    ``fit`` is (the fitted pixels in ascending order, their fit, their footprints) for the method that fits a curve.
-    """
+    """Return the curves of a lattice of pixels that have a place; ``fit`` for the method that fits a curve."""
     rows, cols = black.shape
     lattice_rows = np.linspace(0, rows - 1, LATTICE + 2).astype(int)[1:-1]
     lattice_cols = np.linspace(0, cols - 1, LATTICE + 2).astype(int)[1:-1]
@@ -37,10 +32,10 @@ def sample_curves(
             windows,
             cols,
             photos,
+            black=black,
             pattern=pattern,
             place_px=float(place[pixel]),
             fit=fit,
-            continuous=continuous,
         )
         for pixel in np.unique(pixels)
         if np.isfinite(place[pixel])
@@ -53,10 +48,10 @@ def _curve(
     cols: int,
     photos: tuple[PhotoQuality, ...],
     *,
+    black: np.ndarray,
     pattern: StripePattern,
     place_px: float,
-    fit: tuple[np.ndarray, StripeFit, np.ndarray] | None,
-    continuous: bool,
+    fit: LikelihoodPlaces | None,
 ) -> SampleCurve:
     number = windows.peak_index[pixel] + np.arange(-windows.half_width, windows.half_width + 1)
     inside = (number >= 0) & (number < windows.photo_count)
@@ -64,13 +59,10 @@ def _curve(
     model: tuple[float, ...] = ()
     sd_px = None
     if fit is not None:
-        fitted_pixels, values, footprint = fit
-        row = int(np.searchsorted(fitted_pixels, pixel))
-        shape, _ = expected_curve(
-            x[None, :], np.array([place_px]), footprint[row : row + 1], pattern=pattern, continuous=continuous
-        )
-        model = tuple((values.background[row] + values.amplitude[row] * shape[0]).tolist())
-        sd_px = float(values.sd_px[row])
+        row = int(np.searchsorted(fit.pixels, pixel))
+        height = fit.drawn(row, int(windows.peak_index[pixel]))[inside]
+        model = tuple((black.ravel()[pixel] + height).tolist())
+        sd_px = float(fit.fit.sd_px[row])
     return SampleCurve(
         row=pixel // cols,
         col=pixel % cols,

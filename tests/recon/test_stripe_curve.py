@@ -9,10 +9,13 @@ from scipy.integrate import quad
 
 from recon.patterns.sweep_frames import stripe_profile
 from recon.sessions.manifest import StripePattern
+from recon.sweeps.curve_samples import CurveSamples, SweepCurves
+from recon.sweeps.curve_table import curve_table
 from recon.sweeps.noise import NoiseModel, dark_variance, noise_from_residuals
-from recon.sweeps.stripe_fit import fit_stripe
-from recon.sweeps.stripe_model import expected_curve, footprint_average
+from recon.sweeps.stripe_fit import StripeFit, fit_stripe, looked_up
+from recon.sweeps.stripe_model import footprint_average
 from recon.sweeps.stripe_peak import NO_PEAK, PeakTracker, PeakWindows, parabola_offset
+from recon.sweeps.width_prior import Footprints, known_prior
 
 COSINE = StripePattern(profile="raised_cosine", width_px=6.0, first_px=0.0, step_px=1.0, count=64)
 HARD = StripePattern(profile="hard", width_px=1.0, first_px=0.0, step_px=1.0, count=64)
@@ -102,20 +105,21 @@ def curves(
 
 
 def fitted(
-    windows: PeakWindows, black: np.ndarray, pattern: StripePattern, widths: tuple[float, float], noise: NoiseModel
-):
+    windows: PeakWindows,
+    black: np.ndarray,
+    pattern: StripePattern,
+    widths: tuple[float, float],
+    noise: NoiseModel,
+    *,
+    clipped: int = 65534,
+    continuous: bool = True,
+    width_sd: float = 0.02,
+) -> StripeFit:
+    """Fit with footprints that are known but for their width, known to ``width_sd``."""
     pixels = np.arange(len(windows.peak_index), dtype=np.int64)
-    return fit_stripe(
-        windows,
-        pixels,
-        windows.peak_index.astype(np.float64),
-        np.tile(np.array(widths), (len(pixels), 1)),
-        black=black,
-        pattern=pattern,
-        noise=noise,
-        clipped=65534,
-        continuous=True,
-    )
+    table = curve_table(pattern, half_width=windows.half_width, continuous=continuous)
+    prior = known_prior(Footprints(np.tile(np.array(widths), (len(pixels), 1)), 0.02), sd=width_sd)
+    return fit_stripe(SweepCurves(windows, table, black, clipped), pixels, prior, noise=noise)
 
 
 def test_errors_of_the_fit_are_those_it_states() -> None:
@@ -125,8 +129,7 @@ def test_errors_of_the_fit_are_those_it_states() -> None:
     fit = fitted(windows, black, COSINE, (0.7, 0.4), NoiseModel(16.0**2))
     normalised = (fit.place_px - centre) / fit.sd_px
     # 4000 samples: the sd of an rms is 1/sqrt(8000), of a mean 1/sqrt(4000); four of them.
-    # Birge's ratio can only widen an sd, by 6 % on average for 11 degrees of freedom.
-    assert 0.90 < np.sqrt((normalised**2).mean()) < 1.05
+    assert 0.955 < np.sqrt((normalised**2).mean()) < 1.045
     assert abs(normalised.mean()) < 4 / np.sqrt(4000)
 
 
@@ -157,12 +160,8 @@ def test_clipped_samples_are_left_out_rather_than_fitted_through() -> None:
     windows, black = curves(centre, COSINE, rng, footprint_px=(0.7, 0.4))
     ceiling = 150 * 16
     clipped = PeakWindows(windows.peak_index, np.minimum(windows.samples, ceiling), windows.half_width, 64)
-    pixels = np.arange(1000, dtype=np.int64)
-    start = windows.peak_index.astype(np.float64)
-    widths = np.tile([0.7, 0.4], (1000, 1))
-    settings_ = {"black": black, "pattern": COSINE, "noise": NoiseModel(256.0), "continuous": True}
-    kept_out = fit_stripe(clipped, pixels, start, widths, clipped=ceiling, **settings_)
-    through = fit_stripe(clipped, pixels, start, widths, clipped=65534, **settings_)
+    kept_out = fitted(clipped, black, COSINE, (0.7, 0.4), NoiseModel(256.0), clipped=ceiling)
+    through = fitted(clipped, black, COSINE, (0.7, 0.4), NoiseModel(256.0))
     error = np.sqrt(((kept_out.place_px - centre) ** 2).mean())
     assert error < 2 * np.median(kept_out.sd_px)
     assert error < np.sqrt(((through.place_px - centre) ** 2).mean())
@@ -188,7 +187,7 @@ def test_the_photon_transfer_curve_is_found_from_residuals() -> None:
 @pytest.mark.parametrize("centre", [30.0, 30.21, 30.5, 29.62])
 def test_on_a_real_display_the_curve_steps_with_the_device_pixels(pattern: StripePattern, centre: float) -> None:
     """Brute force: sample the footprint finely; each sample sees the level of the device pixel that it falls on."""
-    widths = (0.8, 0.5)
+    widths = (0.8, 0.4)
     u = (np.arange(400) + 0.5) / 400 - 0.5
     seen = np.rint(centre + (u[:, None] * widths[0] + u[None, :] * widths[1]).ravel())
     stripes = np.arange(24.0, 37.0)
@@ -200,28 +199,31 @@ def test_on_a_real_display_the_curve_steps_with_the_device_pixels(pattern: Strip
             for s in stripes
         ]
     )
-    arguments = {"pattern": pattern, "continuous": False}
-    value, slope = expected_curve(stripes[None, :], np.array([centre]), np.array([widths]), **arguments)
-    np.testing.assert_allclose(value[0], brute, atol=3e-3)
-    above, _ = expected_curve(stripes[None, :], np.array([centre + 1e-4]), np.array([widths]), **arguments)
-    np.testing.assert_allclose(slope, (above - value) / 1e-4, atol=5e-3)
+    value, slope = looked_up_curve(pattern, centre, widths)
+    np.testing.assert_allclose(value, brute, atol=3e-3)
+    above, _ = looked_up_curve(pattern, centre + 0.02, widths)
+    below, _ = looked_up_curve(pattern, centre - 0.02, widths)
+    # Over ±0.02 px the slope of these curves changes by less than its second derivative, 1 / (0.8 · 0.4), times 0.02.
+    np.testing.assert_allclose(slope, (above - below) / 0.04, atol=0.08)
+
+
+def looked_up_curve(
+    pattern: StripePattern, centre: float, widths: tuple[float, float]
+) -> tuple[np.ndarray, np.ndarray]:
+    """Return value and slope of the stepped curve about stripe 30."""
+    table = curve_table(pattern, half_width=6, continuous=False)
+    prior = known_prior(Footprints(np.array([widths]), 0.0), sd=0.1)
+    table.fill(prior.shape)
+    samples = CurveSamples(np.zeros((1, 13), np.float32), np.ones((1, 13), bool), np.array([30]), np.array([30.0]))
+    value, slope, _ = looked_up(samples, np.array([centre]), prior.log_width, shape=prior.shape, table=table)
+    return value[0], slope[0]
 
 
 def test_a_place_inside_one_device_pixel_is_known_to_that_pixel_and_no_better() -> None:
     rng = np.random.default_rng(7)
     centre = rng.uniform(29.8, 30.2, 300)
     windows, black = curves(np.full(300, 30.0), COSINE, rng, footprint_px=(0.01, 0.01))
-    fit = fit_stripe(
-        windows,
-        np.arange(300, dtype=np.int64),
-        np.full(300, 30.0),
-        np.full((300, 2), 0.2),
-        black=black,
-        pattern=COSINE,
-        noise=NoiseModel(256.0),
-        clipped=65534,
-        continuous=False,
-    )
+    fit = fitted(windows, black, COSINE, (0.2, 0.2), NoiseModel(256.0), continuous=False)
     # A footprint 0.4 px from end to end fits into the pixel at any place within ±0.3 px: sd 0.6/sqrt(12) = 0.17.
     assert np.median(fit.sd_px) == pytest.approx(0.17, abs=0.04)
     assert np.sqrt((((fit.place_px - centre) / fit.sd_px) ** 2).mean()) < 1.2

@@ -1,0 +1,188 @@
+"""All curves that a pixel can show for one pattern, computed once and looked up for every pixel.
+
+A footprint is described by its total standard deviation (``width``) and its shape: which share of its variance is that of
+two boxes (a square pixel under a locally affine map, ``stripe_model.py``), the rest being a Gaussian blur (lens, defocus,
+display), and how the two boxes compare. Shapes are few and coarse, since the centre of a symmetric curve hardly depends on
+them; widths are interpolated between closely spaced nodes, and places are Taylor-expanded from the nearest entry.
+"""
+
+from dataclasses import dataclass
+from functools import lru_cache
+
+import numpy as np
+from jaxtyping import Float32, Float64, Int64
+from scipy.fft import irfft, next_fast_len, rfft, rfftfreq
+
+from recon.patterns.sweep_frames import device_brightness
+from recon.sessions.manifest import StripePattern
+from recon.sweeps.stripe_model import UNIT_BOX, footprint_average
+
+SHARE_STEPS = 4
+RATIO_STEPS = 16
+# (share of the boxes in the variance, smaller box over larger box)
+SHAPES = (
+    (0.0, 0.0),
+    *(
+        (share / SHARE_STEPS, ratio / RATIO_STEPS)
+        for share in range(1, SHARE_STEPS + 1)
+        for ratio in range(RATIO_STEPS + 1)
+    ),
+)
+# Widths between two nodes are interpolated linearly: an error below a thousandth of the curve's height.
+NODE_SPACING = 0.1
+# The second-order term that a lookup leaves out is below 3e-5 of the curvature at this many entries a step (or half a
+# device pixel where steps are longer).
+ENTRIES_A_STEP = 64
+# Stripes stand on the device pixels in so many different ways; finer differences are rounded to an eighth of a pixel.
+MOST_ALIGNMENTS = 8
+THINNEST_PX = 0.03
+GAUSSIAN_REACH_SD = 5.0
+
+
+Curves = Float32[np.ndarray, "shapes nodes alignments distances"]
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class CurveTable:
+    """The curves of one pattern: brightness 0 to 1 (``value``) and its derivative by the distance (``slope``).
+
+    ``log_width`` are the width nodes, ``spacing_px`` and ``reach_px`` the spacing and range of the distances (from the stripe's
+    centre to the footprint's), ``alignments_px`` the different places of a stripe's centre on its device pixel, and
+    ``alignment_of`` tells for stripe numbers from ``-pad`` on which of them each has. The curves of a shape are computed
+    when it is first ``fill``-ed in.
+    """
+
+    pattern: StripePattern
+    continuous: bool
+    log_width: Float64[np.ndarray, " nodes"]
+    spacing_px: float
+    reach_px: float
+    alignments_px: Float64[np.ndarray, " alignments"]
+    alignment_of: Int64[np.ndarray, " stripes"]
+    pad: int
+    value: Curves
+    slope: Curves
+    filled: set[int]
+
+    def fill(self, shapes: np.ndarray) -> None:
+        """Compute the curves of these shapes, where that has not been done."""
+        for shape in set(np.unique(shapes).tolist()) - self.filled:
+            for node, one in enumerate(self.log_width):
+                for number, offset_px in enumerate(self.alignments_px):
+                    value, slope = _curve(float(np.exp(one)), shape, float(offset_px), self)
+                    self.value[shape, node, number], self.slope[shape, node, number] = value, slope
+            self.filled.add(shape)
+
+    @property
+    def entries_a_step(self) -> int:
+        """Return how many entries lie between two stripes."""
+        return round(self.pattern.step_px / self.spacing_px)
+
+    def nearest_node(self, log_width: Float64[np.ndarray, " pixels"]) -> Int64[np.ndarray, " pixels"]:
+        """Return the number of the width node nearest to each width."""
+        number = np.rint((log_width - self.log_width[0]) / NODE_SPACING)
+        return np.clip(number, 0, len(self.log_width) - 1).astype(np.int64)
+
+    def entry(self, distance_px: np.ndarray) -> np.ndarray:
+        """Return the number of the entry nearest to each distance; far distances lie where every curve is dark."""
+        number = np.rint((distance_px + self.reach_px) / self.spacing_px).astype(np.int64)
+        return np.clip(number, 0, round(2 * self.reach_px / self.spacing_px))
+
+
+@lru_cache(maxsize=4)
+def curve_table(pattern: StripePattern, *, half_width: int, continuous: bool) -> CurveTable:
+    """Return the table for windows of ``half_width`` samples on each side; the sweeps of a session share one.
+
+    ``continuous`` is for scenes whose stripe was drawn as a function and not on device pixels.
+    """
+    step = pattern.step_px
+    # A whole number of entries lies between two stripes, so that a scan over places is a slice.
+    spacing = step / (ENTRIES_A_STEP * max(1, int(np.ceil(step / 2))))
+    reach = spacing * np.ceil(((half_width + 2) * step + 2 * max(step, 1.0)) / spacing)
+    widest = (half_width + 1) * step
+    thinnest = THINNEST_PX * min(step, 1.0)
+    nodes = int(np.ceil(np.log(widest / thinnest) / NODE_SPACING)) + 1
+    log_width = np.log(thinnest) + NODE_SPACING * np.arange(nodes)
+    pad = half_width + 1
+    alignments, alignment_of = _alignments(pattern, pad=pad, continuous=continuous)
+    # Pages of memory that no shape fills are never taken.
+    size = (len(SHAPES), nodes, len(alignments), round(2 * reach / spacing) + 1)
+    return CurveTable(
+        pattern=pattern,
+        continuous=continuous,
+        log_width=log_width,
+        spacing_px=float(spacing),
+        reach_px=float(reach),
+        alignments_px=alignments,
+        alignment_of=alignment_of,
+        pad=pad,
+        value=np.zeros(size, dtype=np.float32),
+        slope=np.zeros(size, dtype=np.float32),
+        filled=set(),
+    )
+
+
+def _alignments(pattern: StripePattern, *, pad: int, continuous: bool) -> tuple[np.ndarray, np.ndarray]:
+    """Return the different places of a stripe's centre on its device pixel, and which of them each stripe has."""
+    number = np.arange(-pad, pattern.count + pad)
+    if continuous:
+        return np.zeros(1), np.zeros(len(number), dtype=np.int64)
+    offset = np.round(pattern.first_px + pattern.step_px * number, 6)
+    offset = offset - np.floor(offset + 1e-9)
+    kinds, kind = np.unique(np.round(offset, 5), return_inverse=True)
+    if len(kinds) > MOST_ALIGNMENTS:
+        kinds, kind = np.unique(np.round(offset * MOST_ALIGNMENTS) / MOST_ALIGNMENTS % 1.0, return_inverse=True)
+    return kinds, kind.astype(np.int64)
+
+
+def shape_of(box_px: Float64[np.ndarray, "pixels 2"], width_px: Float64[np.ndarray, " pixels"]) -> np.ndarray:
+    """Return the number of the shape nearest to two boxes inside a footprint of this total standard deviation."""
+    large, small = box_px.max(axis=1), box_px.min(axis=1)
+    share = np.minimum((large**2 + small**2) / 12 / np.maximum(width_px, 1e-12) ** 2, 1.0)
+    ratio = small / np.maximum(large, 1e-12)
+    share_step = np.rint(share * SHARE_STEPS).astype(np.int64)
+    ratio_step = np.rint(ratio * RATIO_STEPS).astype(np.int64)
+    return np.where(share_step == 0, 0, 1 + (share_step - 1) * (RATIO_STEPS + 1) + ratio_step)
+
+
+def _curve(width_px: float, shape: int, offset_px: float, table: CurveTable) -> tuple[np.ndarray, np.ndarray]:
+    """Return value and slope at all distances for one width, shape and alignment."""
+    count = round(2 * table.reach_px / table.spacing_px) + 1
+    if table.continuous:
+        return _blurred(width_px, shape, table.pattern, spacing_px=table.spacing_px, half_count=(count - 1) // 2)
+    half = (count - 1) // 2
+    lit = np.arange(
+        np.ceil(offset_px - table.pattern.width_px / 2 - 0.5),
+        np.floor(offset_px + table.pattern.width_px / 2 + 0.5) + 1,
+    )
+    level = device_brightness(lit - offset_px, table.pattern)
+    shift = np.rint((lit - offset_px) / table.spacing_px).astype(np.int64)
+    margin = int(np.abs(shift).max()) + 1
+    share, share_slope = _blurred(width_px, shape, UNIT_BOX, spacing_px=table.spacing_px, half_count=half + margin)
+    value, slope = np.zeros(count), np.zeros(count)
+    for one, by in zip(level, shift, strict=True):
+        part = slice(margin - by, margin - by + count)
+        value += one * share[part]
+        slope += one * share_slope[part]
+    return value, slope
+
+
+def _blurred(
+    width_px: float, shape: int, pattern: StripePattern, *, spacing_px: float, half_count: int
+) -> tuple[np.ndarray, np.ndarray]:
+    """Return the profile averaged over a footprint, and its derivative, at ``2 * half_count + 1`` distances."""
+    share, ratio = SHAPES[shape]
+    large = np.sqrt(12 * share / (1 + ratio**2)) * width_px
+    sigma = np.sqrt(1 - share) * width_px
+    margin = int(np.ceil(GAUSSIAN_REACH_SD * sigma / spacing_px)) + 1
+    x = spacing_px * np.arange(-half_count - margin, half_count + margin + 1.0)
+    value, slope = footprint_average(x[None, :], np.array([large]), np.array([ratio * large]), pattern)
+    both = np.concatenate([value, slope])
+    if sigma > 0:
+        # The derivative is taken after the blur: that of a sharp edge is too thin for the entries.
+        count = next_fast_len(len(x), real=True)
+        frequency = 2 * np.pi * rfftfreq(count, spacing_px)
+        blurred = rfft(value[0], count) * np.exp(-0.5 * (frequency * sigma) ** 2)
+        both = irfft(np.stack([blurred, 1j * frequency * blurred]), count)
+    inner = both[:, margin : margin + 2 * half_count + 1]
+    return inner[0], inner[1]
