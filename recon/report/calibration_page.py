@@ -91,9 +91,9 @@ def object_panel(calibration: Calibration) -> Panel:
     return Panel(
         "object",
         "",
-        "table.html.j2",
-        {"table": Table(("At the object", "rms", "What it means"), rows, (1,))},
-        "What the uncertainty of this calibration alone does to points and normals of an object of the usual size and place. "
+        "meanings.html.j2",
+        {"rows": rows},
+        "What the uncertainty of the calibration alone does to points and normals of an object of the usual size and place (rms). "
         "Noise of the photos comes on top; the report of each reconstruction tells it.",
         f"A shape error of {number(GOAL_SHAPE_MM, 1)} mm or less, and normals to a few hundredths of a degree.",
         "A shape error as large as what you want to measure: take more views, and more photos of the board on the display.",

@@ -6,10 +6,12 @@ from seen_corners import lab_scene, panel_view, seen_places, slipped_scene, true
 from seen_object import PANEL, errors, pixels_of
 
 from recon.calibration.board import board_for_display
+from recon.calibration.constraints import glass_known, lens_known, slip, travel_known
 from recon.calibration.detection import BoardView
 from recon.calibration.display_poses import AIR_PANELS, GlassKnowledge, Travel, display_poses
 from recon.calibration.errors import CalibrationError
 from recon.calibration.fep_error import Geometry
+from recon.calibration.wet_pose import WET_PANELS, wet_poses
 from recon.sessions.manifest import CoverGlass
 
 GLASS = CoverGlass(thickness_mm=1.5, n=1.52)
@@ -46,9 +48,10 @@ def test_oblique_views_tell_the_thickness_of_the_glass() -> None:
         oblique.append(panel_view(turned, corner_mm, stage_mm[0], rng=rng, sd_px=CORNER_SD_PX, exact=place_px))
     lens_covariance = np.diag(np.array([0.5, 0.5, 0.6, 0.6, 4e-4, 3e-3, 3e-5, 3e-5, 7e-3]) ** 2)
     guessed = CoverGlass(thickness_mm=1.0, n=GLASS.n)
+    lens = rng.multivariate_normal(true_lens(scene), lens_covariance)
     found = display_poses(
         straight,
-        lens=rng.multivariate_normal(true_lens(scene), lens_covariance),
+        lens=lens,
         lens_covariance=lens_covariance,
         travel=Travel(40.0, 0.02),
         cover_glass=guessed,
@@ -58,6 +61,26 @@ def test_oblique_views_tell_the_thickness_of_the_glass() -> None:
     sd_mm = float(np.sqrt(found.covariance_of("glass")[0, 0]))
     assert sd_mm < 0.5  # known beforehand to 1 mm: the photos tell more than that
     assert abs(found.state.glass_mm - GLASS.thickness_mm) < 4 * sd_mm
+
+    # Under liquid the glass bends light less: photos through it tell the thickness once more, with the poses there.
+    assert scene.n_liquid is not None
+    wet = {p: [panel_view(scene, corner_mm, stage_mm[p], rng=rng, sd_px=CORNER_SD_PX, wet=True)] for p in (0, 1)}
+    known = [
+        lens_known(lens, lens_covariance),
+        travel_known(*AIR_PANELS, travel_mm=40.0, sd_mm=0.02),
+        glass_known(guessed.thickness_mm, sd_mm=1.0),
+    ]
+    both = wet_poses(
+        found, straight, wet, n_liquid=scene.n_liquid, cover_glass=guessed, known=known, other_views=oblique
+    )
+    both_sd_mm = float(np.sqrt(both.covariance_of("glass")[0, 0]))
+    assert both_sd_mm < sd_mm
+    assert abs(both.state.glass_mm - GLASS.thickness_mm) < 4 * both_sd_mm
+    for name, place in zip(WET_PANELS, stage_mm, strict=True):
+        pose = true_pose(scene, place)
+        off = slip(pose, both.state.panels[name])
+        error = np.concatenate([pose.rotation @ off[:3], pose.rotation @ off[3:]])
+        assert (np.abs(error) < 4.5 * np.sqrt(np.diag(both.covariance_of(name)))).all(), name
 
 
 def test_a_thickness_is_not_estimated_without_the_glasss_index() -> None:

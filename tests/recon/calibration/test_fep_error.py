@@ -56,6 +56,21 @@ def test_an_error_that_carries_everything_along_leaves_the_shape_alone() -> None
     error = fep_error_of(dome_geometry(panels, **DOME), panels, together)
     assert error.rms_mm == pytest.approx(0.1, rel=1e-6)
     assert error.shape_rms_mm < 1e-6
+    assert error.display_rms_mm < 1e-6
+
+
+def test_a_camera_that_is_turned_carries_object_and_display_along() -> None:
+    panels = straight_panels()
+    turn = np.zeros((12, 3))
+    for name, first in zip(AIR_PANELS, (0, 6), strict=True):
+        turn[first : first + 3] = np.eye(3)
+        turn[first + 3 : first + 6] = np.cross(np.eye(3), panels[name].centre_mm).T
+    error = fep_error_of(dome_geometry(panels, **DOME), panels, 1e-8 * turn @ turn.T)
+    # Each of three turns by 1e-4 rad moves a point by that times its distance from the axis.
+    point_mm, _ = entry_points_of(dome_geometry(panels, **DOME), panels)
+    assert error.rms_mm == pytest.approx(1e-4 * np.sqrt(2 * (point_mm**2).sum(axis=1).mean()), rel=1e-4)
+    assert error.shape_rms_mm < 1e-6
+    assert error.display_rms_mm < 1e-6
 
 
 @pytest.mark.slow
