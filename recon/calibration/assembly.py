@@ -124,7 +124,7 @@ def _warnings(lens: LensEstimate, poses: BundleResult) -> tuple[str, ...]:
     found = [f"camera: {sentence}" for sentence in lens.advice]
     if lens.outliers:
         found.append(
-            f"camera: {', '.join(lens.outliers)} disagree with the other views; look at them, or leave them out"
+            f"camera: {', '.join(lens.outliers)}: not as the other views are; look whether shaken or bent, and leave out"
         )
     if set(AIR_PANELS) <= set(poses.state.panels):
         straight = straightness(poses)

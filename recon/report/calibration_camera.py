@@ -97,10 +97,10 @@ def views_panel(calibration: Calibration) -> Panel:
 def shows(view: SeenView) -> str:
     """Return where the board of a view was."""
     if not view.pose:
-        return "held before the camera"
+        return "held"
     if not view.pose.startswith("pos"):
-        return "on the display, oblique"
-    return f"on the display, position {view.pose[3]}, {'under liquid' if view.pose.endswith('liquid') else 'dry'}"
+        return "display, oblique"
+    return f"display {view.pose[3]}, {'wet' if view.pose.endswith('liquid') else 'dry'}"
 
 
 def coverage_panel(calibration: Calibration) -> Panel:

@@ -5,6 +5,7 @@ from pathlib import Path
 
 from recon.calibration.calibration_file import Calibration
 from recon.calibration.errors import CalibrationError
+from recon.calibration.wet_pose import WET_PANELS
 from recon.metrics import Verdict
 from recon.report.calibration_camera import camera_section
 from recon.report.calibration_display import display_section
@@ -26,9 +27,12 @@ def calibration_verdict(calibration: Calibration) -> Verdict:
     reasons = [sentence[0].upper() + sentence[1:] + _stop(sentence) for sentence in calibration.warnings]
     shape_mm = quality.fep_shape_error_mm
     if shape_mm is not None and shape_mm > GOAL_SHAPE_MM:
+        wet = any(name in calibration.poses for name in WET_PANELS)
+        more = "photos of the board under liquid" if wet else "views of the board"
         reasons.insert(
             0,
-            f"The calibration alone would deform the object by {number(shape_mm, 2)} mm (goal: {number(GOAL_SHAPE_MM, 1)} mm).",
+            f"The calibration alone would deform the object by {number(shape_mm, 2)} mm (goal: {number(GOAL_SHAPE_MM, 1)} mm); "
+            f"more {more} make it less.",
         )
     if shape_mm is not None and shape_mm > USELESS_SHAPE_MM:
         return Verdict(
@@ -93,7 +97,7 @@ def object_panel(calibration: Calibration) -> Panel:
         "",
         "meanings.html.j2",
         {"rows": rows},
-        "What the uncertainty of the calibration alone does to points and normals of an object of the usual size and place (rms). "
+        "What the uncertainty of this calibration alone does to an object of the usual size and place, as rms. "
         "Noise of the photos comes on top; the report of each reconstruction tells it.",
         f"A shape error of {number(GOAL_SHAPE_MM, 1)} mm or less, and normals to a few hundredths of a degree.",
         "A shape error as large as what you want to measure: take more views, and more photos of the board on the display.",

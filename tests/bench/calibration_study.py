@@ -38,6 +38,7 @@ COARSE, USUAL, FINE = Board(7, 6, 25.0), Board(17, 12, 11.5), Board(24, 18, 8.0)
 PITCH_SHARE = 1.003
 GLASS_MM = 1.5
 SLIP_MM = 0.3
+FIRM_LEAN_RAD = 5e-5
 MAY_SLIP = SlipKnowledge(in_plane_mm=0.5, in_plane_rad=0.005, along_normal_mm=0.05, lean_rad=0.0005)
 Rows = list[dict[str, object]]
 
@@ -120,19 +121,23 @@ def place(runs: int, seed: int) -> Rows:
     rig = Rig()
     geometry, point_mm, normal = pixels_of(rig.scene, rig.scene, rng=np.random.default_rng(0), sd_px=0.0)
     rows = []
-    for words, procedure, wet in (
-        ("15 views of 63 corners", Procedure(15, Board(10, 8, 15.0)), False),
-        ("30 views of 176 corners", Procedure(30, USUAL), False),
-        ("60 views of 176 corners", Procedure(60, USUAL), False),
-        ("30 views of 391 corners", Procedure(30, FINE), False),
-        ("45 views of 391 corners", Procedure(45, FINE), False),
-        ("45 views of 391 corners, wet again", Procedure(45, FINE), True),
-        ("the same with 16 photos of the display in each set", Procedure(45, FINE, photos=16), True),
+    usual, firm = SlipKnowledge(), SlipKnowledge(lean_rad=FIRM_LEAN_RAD)
+    for words, procedure, slipping in (
+        ("15 views of 63 corners", Procedure(15, Board(10, 8, 15.0)), None),
+        ("30 views of 176 corners", Procedure(30, USUAL), None),
+        ("60 views of 176 corners", Procedure(60, USUAL), None),
+        ("30 views of 391 corners", Procedure(30, FINE), None),
+        ("45 views of 391 corners", Procedure(45, FINE), None),
+        ("the same, and again under liquid", Procedure(45, FINE), usual),
+        ("… with 16 photos of the display in each set", Procedure(45, FINE, photos=16), usual),
+        ("… or a holder that keeps its lean to 0.00005 rad", Procedure(45, FINE), firm),
     ):
         rng = np.random.default_rng(seed)
-        actual, predicted = [], []
+        actual, predicted, focal_sd_px = [], [], []
         for _ in range(runs):
-            made = calibrate(rig, procedure, rng, slipped=(rig.scene, rig.scene) if wet else None)
+            still = (rig.scene, rig.scene) if slipping else None
+            made = calibrate(rig, procedure, rng, slipped=still, slipping=slipping)
+            focal_sd_px.append(made.lens.sd()["focal_x_px"])
             found = made.wet or made.dry
             actual.append(_actual(geometry, found, rig.poses, point_mm, normal))
             error = fep_error(geometry, found)
@@ -143,7 +148,9 @@ def place(runs: int, seed: int) -> Rows:
         row: dict[str, object] = {"procedure": words}
         for name, got, told in zip(("place", "place from display", "shape", "normals"), mean_square, said, strict=True):
             row |= {f"{name}, actual": float(got), f"{name}, predicted": float(told)}
-        rows.append(row | {"largest place": float(np.max(actual, axis=0)[0])})
+        rows.append(
+            row | {"largest place": float(np.max(actual, axis=0)[0]), "focal length, sd px": np.mean(focal_sd_px)}
+        )
     return rows
 
 

@@ -56,7 +56,7 @@ def test_the_verdict_follows_from_the_shape_error_and_the_warnings(
 def test_the_page_names_the_worst_photo_the_slip_and_the_last_day(tmp_path: Path) -> None:
     text = page(tmp_path, evidence=EVIDENCE)
     assert "in red: 0002.jpg" in text
-    assert "on the display, position 1, under liquid" in text
+    assert "display 1, wet" in text
     # The set pos1_liquid stands 0.3 mm to the right of pos1_air, with √2 · 0.01 mm of sd.
     assert "0.300 ± 0.014 mm" in text
     assert "slipped" in text
