@@ -74,6 +74,13 @@ def run(
     force: Annotated[
         bool, typer.Option("--force", help="Make everything anew, whatever earlier runs have kept.")
     ] = False,
+    board: Annotated[
+        bool,
+        typer.Option(
+            "--board/--no-board",
+            help="Measure the display's pose in each set by the session's photos of a board, if it has any.",
+        ),
+    ] = True,
 ) -> None:
     """Reconstruct one session: maps, cloud, mesh, numbers and a report."""
     # Loads the report's plotting, which would slow every other command by a second.
@@ -87,7 +94,13 @@ def run(
     )
     out = out or session / f"recon-{method}"
     settings = Settings(
-        method=method, limits=limits, threads=threads, calibration=calibration, registration=registration, force=force
+        method=method,
+        limits=limits,
+        threads=threads,
+        calibration=calibration,
+        registration=registration,
+        board=board,
+        force=force,
     )
     metrics = run_session(session, out, settings, on_stage=print_stage)
     print_result(metrics, out)
@@ -112,6 +125,8 @@ def print_result(metrics: Metrics, out: Path) -> None:
     for one in metrics.statistics:
         shown = one.unit if one.unit != "mm" else unit
         print(f"  {one.name}: median {one.median:.4g}, rms {one.rms:.4g}, 95 % below {one.p95:.4g} {shown}")
+    for line in metrics.board.sentences if metrics.board else ():
+        print(f"  {line}")
     for warning in metrics.warnings:
         print(f"  note: {warning}")
     if metrics.doubtful_ranges:

@@ -140,6 +140,41 @@ class RegistrationRecord(Part):
     motions: tuple[DisplayMotion, DisplayMotion]
 
 
+class BoardSet(Part):
+    """The board's corners in one set: found, left out as seen through the object, used; ``rms_px`` None where none was."""
+
+    set: str
+    photos: int
+    found: int
+    through_object: int
+    used: int
+    rms_px: float | None
+
+
+class DisplaySlip(Part):
+    """How the display stood in the liquid set beside the dry one of a position, along its own axes; each with its sd."""
+
+    position: int
+    in_plane_mm: float
+    in_plane_sd_mm: float
+    turn_deg: float
+    turn_sd_deg: float
+    along_normal_mm: float
+    along_normal_sd_mm: float
+    sigma: float
+    found: bool
+
+
+class BoardResult(Part):
+    """What the session's own photos of a board say of the display; ``source`` is what was known before."""
+
+    sets: tuple[BoardSet, ...]
+    slips: tuple[DisplaySlip, ...]
+    corner_sd_px: float
+    source: str
+    sentences: tuple[str, ...]
+
+
 class Metrics(Part):
     """All that ``metrics.json`` holds."""
 
@@ -162,6 +197,8 @@ class Metrics(Part):
     scene_note: str = ""
     doubtful_ranges: tuple[DoubtfulRange, ...] = ()
     registration: RegistrationRecord | None = None
+    board: BoardResult | None = None
+    board_note: str = ""
 
 
 def save_metrics(metrics: Metrics, path: Path) -> None:

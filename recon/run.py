@@ -6,7 +6,9 @@ from concurrent.futures import ThreadPoolExecutor
 from dataclasses import replace
 from pathlib import Path
 
-from recon.calibration.calibration_file import CALIBRATION_NAME, read_calibration
+from recon.calibration.board_photos import has_board_photos
+from recon.calibration.board_stage import BoardStage, board_stage
+from recon.calibration.calibration_file import CALIBRATION_NAME, Calibration, read_calibration
 from recon.calibration.session_calibration import calibrated_manifest, calibration_path, with_calibration
 from recon.errors import ReconError
 from recon.maps import MAPS_NAME, save_maps
@@ -17,10 +19,10 @@ from recon.report.writer import write_report
 from recon.running.kept_outcome import forget_outcome, keep_outcome, kept_outcome, outcome_key
 from recon.running.kept_report import keep_report, report_is_kept
 from recon.running.kept_scene import scene_of
-from recon.running.outcome import Outcome, reconstruct
+from recon.running.outcome import Outcome, read_mask, reconstruct
 from recon.running.run_metrics import metrics_of
 from recon.running.settings import Settings
-from recon.sessions.session import MANIFEST_NAME, Session, open_session
+from recon.sessions.session import MANIFEST_NAME, Session, open_session, parse_manifest
 from recon.sessions.wholeness import check_whole
 from recon.stage_timer import StageTimer
 from recon.surface.files import CLOUD_NAME, GLB_NAME, MESH_NAME, write_cloud_ply, write_mesh_glb, write_mesh_ply
@@ -51,11 +53,13 @@ def run_session(
         sweeps = decode_session(session, settings, on_kept=kept.append)
         stage.kept = len(kept) == len(sweeps)
         stage.detail = f"{len(kept)} of {len(sweeps)} sweeps kept" if kept and not stage.kept else ""
+    board = _board(session, sweeps, settings, used, timer)
+    session = board.corrected_session(session)
     with timer.stage("points, normals and surface") as stage:
         key = outcome_key(session, sweeps, settings)
         found = None if settings.force else kept_outcome(out, key)
         stage.kept = found is not None
-        outcome = found or reconstruct(session, sweeps, settings)
+        outcome = found or reconstruct(session, sweeps, settings, known=board.slip_covariance())
     with timer.stage("write maps, cloud and mesh") as stage:
         stage.kept = found is not None
         if found is None:
@@ -63,7 +67,7 @@ def run_session(
     outcome = replace(outcome, warnings=(*doubts, *outcome.warnings))
     with timer.stage("compare the reference photos") as stage:
         scene, stage.kept = scene_of(session, outcome.maps, out=out, outcome_key=key, force=settings.force)
-    metrics = metrics_of(session, sweeps, outcome, settings, timer, scene)
+    metrics = metrics_of(session, sweeps, outcome, settings, timer, scene, board)
     save_metrics(metrics, out / METRICS_NAME)
     with timer.stage("report") as stage:
         stage.kept = not settings.force and report_is_kept(out, key, metrics, session.manifest)
@@ -83,12 +87,7 @@ def run_session(
                 pages.append(out / CALIBRATION_PAGE_NAME)
                 write_calibration_page(pages[-1], used)
             keep_report(out, key, metrics, session.manifest, pages=pages)
-    # A copy of the manifest makes the folder whole: it can be moved, read and evaluated without the session.
-    if calibration is None:
-        (out / MANIFEST_NAME).write_bytes((session.folder / MANIFEST_NAME).read_bytes())
-    else:
-        (out / MANIFEST_NAME).write_text(calibrated_manifest(session.folder, calibration).model_dump_json(indent=1))
-        (out / CALIBRATION_NAME).write_bytes(calibration.read_bytes())
+    _keep_manifest(session.folder, out, calibration, board)
     metrics = metrics.model_copy(update={"stages": timer.stages()})
     save_metrics(metrics, out / METRICS_NAME)
     return metrics
@@ -103,6 +102,41 @@ def make_folder(out: Path) -> None:
         probe.unlink()
     except OSError as error:
         raise ReconError(f"{out}: cannot be written ({error.strerror}); choose another folder with --out") from error
+
+
+def _board(
+    session: Session,
+    sweeps: dict[tuple[str, str], SweepResult],
+    settings: Settings,
+    calibration: Calibration | None,
+    timer: StageTimer,
+) -> BoardStage:
+    """Measure where the display stood, by the session's own photos of a board."""
+    if not has_board_photos(session):
+        return BoardStage()
+    with timer.stage("measure the display's poses"):
+        return board_stage(
+            session,
+            sweeps,
+            calibration=calibration,
+            object_mask=read_mask(session),
+            wanted=settings.board,
+            threads=settings.threads,
+        )
+
+
+def _keep_manifest(session_folder: Path, out: Path, calibration: Path | None, board: BoardStage) -> None:
+    """Put a copy of the manifest beside the results: the folder can be moved, read and evaluated without the session."""
+    source = session_folder / MANIFEST_NAME
+    if calibration is None and board.poses is None:
+        (out / MANIFEST_NAME).write_bytes(source.read_bytes())
+        return
+    if calibration is None:
+        manifest = parse_manifest(source.read_text(encoding="utf-8"), source=str(source))
+    else:
+        manifest = calibrated_manifest(session_folder, calibration)
+        (out / CALIBRATION_NAME).write_bytes(calibration.read_bytes())
+    (out / MANIFEST_NAME).write_text(board.corrected(manifest).model_dump_json(indent=1))
 
 
 def decode_session(

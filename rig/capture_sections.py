@@ -4,7 +4,9 @@ from typing import Annotated, Literal, Self
 
 from pydantic import Field, model_validator
 
-from recon.sessions.manifest import Finite, Part, Positive
+from recon.calibration.board import board_places
+from recon.calibration.errors import CalibrationError
+from recon.sessions.manifest import DisplayPanel, Finite, Part, Positive
 
 Share = Annotated[float, Field(ge=0, le=1, allow_inf_nan=False)]
 PhotoPixel = Annotated[int, Field(ge=0)]
@@ -48,6 +50,27 @@ class AutoExposure(Part):
     brightest_share: Annotated[float, Field(gt=0, lt=1)] = 0.75
     darkest_share: Share = 0.2
     seen_px: tuple[PhotoPixel, PhotoPixel, PhotoPixel, PhotoPixel] | None = None
+
+
+class BoardPhotos(Part):
+    """Photos of a calibration board on the display at the beginning of each set: where the display stood in this very set.
+
+    ``squares_along`` are the squares along the display's longer side, ``photos`` how many are taken in a row.
+    """
+
+    squares_along: Annotated[int, Field(ge=3)] = 16
+    photos: Annotated[int, Field(ge=1)] = 1
+
+    def check(self, display: DisplayPanel, *, method: str) -> None:
+        """Raise ``ValueError`` where the board does not fit the display, or there is no wet set to compare with."""
+        if method != "liquid":
+            raise ValueError(
+                "capture.board belongs to method 'liquid': it tells the display dry from the display wet; leave it out"
+            )
+        try:
+            board_places(display, squares_along=self.squares_along)
+        except CalibrationError as error:
+            raise ValueError(f"capture.board: {error}") from None
 
 
 class Live(Part):

@@ -78,6 +78,7 @@ def capture(
         Path | None,
         typer.Option("--calibration", metavar="FILE", help="Measured poses and lens, in place of those configured."),
     ] = None,
+    board: options.BoardOption = False,
     state: options.StateOption = None,
     real_time: options.RealTimeOption = False,
     pause_after: Annotated[
@@ -99,7 +100,7 @@ def capture(
         raise ConfigError("--sim and --sim-wire are two ways to rehearse; leave out one of them")
     sim = sim or sim_wire
     changes = SceneOptions(
-        profile, width_px, step_px, order, size, display_columns, seed, scan, live, watch, auto_exposure, code
+        profile, width_px, step_px, order, size, display_columns, seed, scan, live, watch, auto_exposure, code, board
     )
     if resume:
         if config is not None or scene is not None or calibration is not None or changes != SceneOptions():
@@ -145,6 +146,7 @@ def simulate(
     display_columns: options.DisplayOption = None,
     seed: options.SeedOption = None,
     code: options.CodeOption = None,
+    board: options.BoardOption = False,
     workers: Annotated[int, typer.Option("--workers", min=1, help="Threads that compute photos.")] = 2,
     truth_only: Annotated[bool, typer.Option("--truth-only", help="Write manifest and truth, and no photo.")] = False,
 ) -> None:
@@ -152,7 +154,7 @@ def simulate(
 
     The photos are those of `rig capture --sim`, computed without going through devices.
     """
-    changes = SceneOptions(profile, width_px, step_px, order, size, display_columns, seed, code=code)
+    changes = SceneOptions(profile, width_px, step_px, order, size, display_columns, seed, code=code, board=board)
     opened = open_scene(scene, changes)
     if truth_only:
         simulate_truth(opened, config_of_scene(opened, changes), folder)
@@ -178,12 +180,15 @@ def plan(
     scan: options.ScanOption = False,
     code: options.CodeOption = None,
     watch: options.WatchOption = False,
+    board: options.BoardOption = False,
 ) -> None:
     """Say what a capture will do and cost.
 
     Every move, fill and sweep in order, then photos, time, liquid and disk space together.
     """
-    changes = SceneOptions(profile, width_px, step_px, order, size, display_columns, scan=scan, watch=watch, code=code)
+    changes = SceneOptions(
+        profile, width_px, step_px, order, size, display_columns, scan=scan, watch=watch, code=code, board=board
+    )
     rig = choose_rig(sim or scene is not None, config, scene, changes)
     print_plan(plan_capture(rig.config), rig.config, console)
 

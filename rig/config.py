@@ -28,7 +28,7 @@ from recon.sessions.manifest import (
     ScannedObject,
 )
 from recon.sessions.pattern import Pattern, StripePattern
-from rig.capture_sections import AutoExposure, Calibrate, GrayLineCode, Live, PhaseShiftCode, Scan, Watch
+from rig.capture_sections import AutoExposure, BoardPhotos, Calibrate, GrayLineCode, Live, PhaseShiftCode, Scan, Watch
 from rig.errors import ConfigError
 from rig.planning.coded_pattern import coded_pattern
 
@@ -82,6 +82,7 @@ class Capture(Part):
     swept: SweptArea
     scan: Scan | None = None
     auto_exposure: AutoExposure | None = None
+    board: BoardPhotos | None = None
 
 
 class Tank(Part):
@@ -232,6 +233,8 @@ class RigConfig(Part):
             raise ValueError(f"method 'liquid' needs the section [{missing}]; add it, or choose method 'thin'")
         if self.method == "thin" and self.object.n is None:
             raise ValueError("method 'thin' needs the object's refractive index (n in section [object])")
+        if self.capture.board is not None:
+            self.capture.board.check(self.display, method=self.method)
         return self
 
     @model_validator(mode="after")

@@ -84,6 +84,10 @@ WatchOption = Annotated[
         "--watch", help="Watch that the simulated scene stays as it was: printed marks in it, reference photos."
     ),
 ]
+BoardOption = Annotated[
+    bool,
+    typer.Option("--board", help="Photograph a calibration board on the display in each set: did the display slip?"),
+]
 StateOption = Annotated[
     Path | None,
     typer.Option(

@@ -12,17 +12,21 @@ import numpy as np
 from jaxtyping import Float64, UInt8
 
 from recon.calibration.errors import CalibrationError
-from recon.sessions.manifest import DisplayPanel
+from recon.sessions.manifest import DisplayedBoard, DisplayPanel
 
 Layout = Literal["new", "legacy"]
 
 # A square is drawn as ten by ten parts, six of which the marker takes: two parts of margin keep it out of a corner's window.
 MARKER_SHARE = 0.6
 PARTS = 10
+# A marker of five by five bits with its black border: each needs a device pixel.
+MARKER_CELLS = 7
 # More squares than this leave the markers of a tablet seen by a 320 px camera unreadable.
 SQUARES_ALONG = 16
 FEWEST_SQUARES = 3
 DICTIONARY = "DICT_5X5_250"
+# What the journal calls photos of a board on the display.
+BOARD = "board"
 
 
 @dataclass(frozen=True, slots=True)
@@ -101,26 +105,55 @@ def board_for_display(
     squares_along : squares along the longer side of the panel.
     white : drive level of the white parts, where full white would saturate the camera.
     """
-    longer = max(display.columns, display.rows)
-    square_px = longer // squares_along // PARTS * PARTS or longer // squares_along
-    squares_x, squares_y = display.columns // max(square_px, 1), display.rows // max(square_px, 1)
-    if square_px < PARTS:
-        raise CalibrationError(
-            f"board: {squares_along} squares along {longer} device pixels leave {square_px} for a square, {PARTS} are needed; "
-            "ask for fewer squares"
-        )
-    left, top = (display.columns - squares_x * square_px) // 2, (display.rows - squares_y * square_px) // 2
-    board = Board(
-        squares_x,
-        squares_y,
-        square_px * display.pitch_mm,
-        layout=layout,
-        left_mm=(left - display.columns / 2) * display.pitch_mm,
-        top_mm=(top - display.rows / 2) * display.pitch_mm,
-    )
+    placed = board_places(display, squares_along=squares_along, layout=layout)
+    board, square_px = board_on(display, placed), placed.square_px
     drawn = opencv_board(board).generateImage(
-        (squares_x * square_px, squares_y * square_px), marginSize=0, borderBits=1
+        (board.squares_x * square_px, board.squares_y * square_px), marginSize=0, borderBits=1
     )
     image = np.full((display.rows, display.columns), white, np.uint8)
-    image[top : top + drawn.shape[0], left : left + drawn.shape[1]] = np.where(drawn > 127, white, 0)
+    rows = slice(placed.first_row, placed.first_row + drawn.shape[0])
+    columns = slice(placed.first_column, placed.first_column + drawn.shape[1])
+    image[rows, columns] = np.where(drawn > 127, white, 0)
     return ShownBoard(board, image, square_px)
+
+
+def board_places(
+    display: DisplayPanel, *, squares_along: int = SQUARES_ALONG, layout: Layout = "new"
+) -> DisplayedBoard:
+    """Return where the squares of the board of :func:`board_for_display` are on the display, without drawing it.
+
+    Raises ``CalibrationError`` where so many squares do not fit the display, or the markers do not last for them.
+    """
+    longer = max(display.columns, display.rows)
+    square_px = longer // squares_along // PARTS * PARTS or longer // squares_along
+    if square_px * MARKER_SHARE < MARKER_CELLS:
+        raise CalibrationError(
+            f"board: {squares_along} squares along {longer} device pixels leave {square_px} for a square, "
+            f"{int(np.ceil(MARKER_CELLS / MARKER_SHARE))} are needed; ask for fewer squares"
+        )
+    squares_x, squares_y = display.columns // square_px, display.rows // square_px
+    opencv_board(Board(squares_x, squares_y, 1.0))
+    return DisplayedBoard(
+        squares_x=squares_x,
+        squares_y=squares_y,
+        square_px=square_px,
+        first_column=(display.columns - squares_x * square_px) // 2,
+        first_row=(display.rows - squares_y * square_px) // 2,
+        marker_share=MARKER_SHARE,
+        dictionary=DICTIONARY,
+        layout=layout,
+    )
+
+
+def board_on(display: DisplayPanel, placed: DisplayedBoard) -> Board:
+    """Return a displayed board in screen mm, by the display's pitch."""
+    return Board(
+        placed.squares_x,
+        placed.squares_y,
+        placed.square_px * display.pitch_mm,
+        marker_share=placed.marker_share,
+        dictionary=placed.dictionary,
+        layout=placed.layout,
+        left_mm=(placed.first_column - display.columns / 2) * display.pitch_mm,
+        top_mm=(placed.first_row - display.rows / 2) * display.pitch_mm,
+    )

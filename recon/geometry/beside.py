@@ -57,7 +57,7 @@ def liquid_surface(
     if manifest.camera.pose is None or len(pixels) == 0:
         return np.zeros(len(pixels), dtype=bool)
     camera_mm = np.array(manifest.camera.pose.centre_mm)
-    straight = _straight(air, camera_mm, direction_sd_rad, pixels=pixels, shape=shape)
+    straight = straight_paths(air, camera_mm, direction_sd_rad, pixels=pixels, shape=shape)
     level = _level(points, normal, straight)
     if level is None:
         return np.zeros(len(pixels), dtype=bool)
@@ -79,15 +79,18 @@ def _in_regions(found: np.ndarray, *, pixels: np.ndarray, shape: tuple[int, int]
     return found & (size[regions.ravel()[pixels]] > NEIGHBOURHOOD_PX**2)
 
 
-def _straight(
+def straight_paths(
     air: LightPaths,
-    camera_mm: np.ndarray,
-    direction_sd_rad: np.ndarray,
+    camera_mm: Float64[np.ndarray, " 3"],
+    direction_sd_rad: Float64[np.ndarray, " pixels"],
     *,
     pixels: np.ndarray,
     shape: tuple[int, int],
-) -> np.ndarray:
-    """Return which air paths run through the camera's centre, as unbent rays do, taken over a neighbourhood."""
+) -> Bool[np.ndarray, " pixels"]:
+    """Return which air paths run through the camera's centre, as unbent rays do, taken over a neighbourhood.
+
+    ``pixels`` are the flat indices into ``shape`` of the paths.
+    """
     to_camera = camera_mm - air.near_mm
     along = (to_camera * air.direction).sum(axis=1, keepdims=True)
     miss = (to_camera - along * air.direction) / np.linalg.norm(to_camera, axis=1, keepdims=True)

@@ -5,6 +5,8 @@ from jaxtyping import Float64
 
 from recon.calibration.calibration_file import Calibration
 from recon.maps import Maps
+from recon.metrics import Metrics
+from recon.report.board_panel import board_panel
 from recon.report.calibration_display import slips_of
 from recon.report.calibration_page import CALIBRATION_PAGE_NAME, holds_until
 from recon.report.charts import Scale, line_path
@@ -224,7 +226,7 @@ def _length_mm(value: float | None) -> str:
 
 
 def setup_section(
-    manifest: Manifest, maps: Maps, *, unit: LengthUnit, calibration: Calibration | None = None
+    manifest: Manifest, maps: Maps, metrics: Metrics, *, unit: LengthUnit, calibration: Calibration | None = None
 ) -> Section:
     """Return the section on what was calibrated."""
     return Section(
@@ -234,6 +236,7 @@ def setup_section(
             drawing_panel(manifest, maps, unit),
             calibration_panel(calibration),
             poses_panel(manifest, unit),
+            board_panel(metrics, unit),
             parts_panel(manifest, unit),
             patterns_panel(manifest),
         ),

@@ -78,7 +78,7 @@ def write_report(
     )
     after = (
         capture_section(metrics, unit=unit),
-        setup_section(manifest, maps, unit=unit, calibration=calibration),
+        setup_section(manifest, maps, metrics, unit=unit, calibration=calibration),
         run_section(metrics, manifest),
         methods_section(manifest, metrics, unit=unit),
     )

@@ -9,6 +9,7 @@ from recon.calibration.session_calibration import calibration_path
 from recon.maps import Maps
 from recon.metrics import RegistrationRecord, Statistic
 from recon.reconstruct import Crossing, cross_paths, maps_of
+from recon.registration.gap_fit import MotionCovariance
 from recon.registration.known_slips import known_slips
 from recon.registration.registration_stage import record_of, registration_of, with_carried
 from recon.registration.session_slips import Registration, registered
@@ -45,14 +46,23 @@ def read_mask(session: Session) -> np.ndarray | None:
     return counts > 0
 
 
-def reconstruct(session: Session, sweeps: dict[tuple[str, str], SweepResult], settings: Settings) -> Outcome:
-    """Turn correspondences into maps and a mesh by the session's method."""
+def reconstruct(
+    session: Session,
+    sweeps: dict[tuple[str, str], SweepResult],
+    settings: Settings,
+    *,
+    known: MotionCovariance | None = None,
+) -> Outcome:
+    """Turn correspondences into maps and a mesh by the session's method.
+
+    ``known`` is what the session's photos of a board leave unknown of the slips; without it, what its calibration does.
+    """
     manifest = session.manifest
     mask = read_mask(session)
     if manifest.method == "thin":
         thin = thin_object(sweeps, manifest, method=settings.method, inside_mask=mask)
         return Outcome(thin.maps, thin.mesh, None, _statistics(thin.maps, None), thin.warnings)
-    registration, manifest = _register(session, sweeps, settings, mask)
+    registration, manifest = _register(session, sweeps, settings, mask, known)
     status, crossing = cross_paths(sweeps, manifest, method=settings.method, limits=settings.limits, inside_mask=mask)
     if registration is not None:
         crossing = with_carried(crossing, registration, manifest)
@@ -76,14 +86,19 @@ def reconstruct(session: Session, sweeps: dict[tuple[str, str], SweepResult], se
 
 
 def _register(
-    session: Session, sweeps: dict[tuple[str, str], SweepResult], settings: Settings, mask: np.ndarray | None
+    session: Session,
+    sweeps: dict[tuple[str, str], SweepResult],
+    settings: Settings,
+    mask: np.ndarray | None,
+    known: MotionCovariance | None,
 ) -> tuple[Registration | None, Manifest]:
     """Measure how the display slipped, if that was asked for, and return the manifest with the poses to use."""
     manifest = session.manifest
     if settings.method != "full" or not settings.registration:
         return None, manifest
     path = calibration_path(session, settings.calibration)
-    known = known_slips(read_calibration(path)) if path is not None else None
+    if known is None and path is not None:
+        known = known_slips(read_calibration(path))
     registration = registration_of(sweeps, manifest, known=known, inside_mask=mask)
     if registration is None:
         return None, manifest

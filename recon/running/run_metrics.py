@@ -6,6 +6,7 @@ from importlib.metadata import PackageNotFoundError, version
 
 import numpy as np
 
+from recon.calibration.board_stage import BoardStage
 from recon.maps import Maps
 from recon.metrics import DoubtfulRange, Funnel, Metrics, SampleCurve
 from recon.running.input_hashes import input_hashes
@@ -30,6 +31,7 @@ def metrics_of(
     settings: Settings,
     timer: StageTimer,
     scene: SceneStage,
+    board: BoardStage,
 ) -> Metrics:
     """Return all that is to be known of a run, its verdict first."""
     maps, manifest = outcome.maps, session.manifest
@@ -53,7 +55,7 @@ def metrics_of(
         status_counts={one.name: int((maps.status == one).sum()) for one in PixelStatus},
         statistics=outcome.statistics,
         parameters=_parameters(settings, sweeps, outcome.gap_ratio),
-        warnings=(*scene.warnings, *outcome.warnings),
+        warnings=(*scene.warnings, *board.warnings, *outcome.warnings),
         versions=_versions(),
         hashes=input_hashes(session.folder, calibration=settings.calibration),
         stages=timer.stages(),
@@ -63,6 +65,8 @@ def metrics_of(
         scene_note=scene.note,
         registration=outcome.registration,
         doubtful_ranges=_doubtful_ranges(session, sweeps),
+        board=board.result(),
+        board_note=board.note,
     )
 
 

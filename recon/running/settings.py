@@ -14,6 +14,7 @@ class Settings:
     ``threads`` = 0 takes every core; without a ``calibration`` the session's own ``calibration.json`` counts, if it has one.
     ``registration``: method ``full`` measures how the display slipped between air and liquid, and corrects its poses.
     ``force`` makes everything anew, whatever earlier runs have kept.
+    ``board`` = False leaves the session's own photos of a board out.
     """
 
     method: Method = "full"
@@ -21,6 +22,7 @@ class Settings:
     threads: int = 0
     calibration: Path | None = None
     registration: bool = True
+    board: bool = True
     force: bool = False
 
     def result_parts(self) -> dict[str, object]:

@@ -98,6 +98,23 @@ class DisplayPanel(Part):
     continuous: bool = False
 
 
+class DisplayedBoard(Part):
+    """The ChArUco board that photos named ``board`` show: its squares in device pixels of the display.
+
+    ``first_column`` and ``first_row`` are the device pixel of its top-left corner. ``layout`` is ``new`` where the top-left
+    square is black, as OpenCV draws boards since 4.6, ``legacy`` where it is white (for an even number of rows).
+    """
+
+    squares_x: Annotated[int, Field(ge=3)]
+    squares_y: Annotated[int, Field(ge=3)]
+    square_px: Annotated[int, Field(gt=0)]
+    first_column: Annotated[int, Field(ge=0)]
+    first_row: Annotated[int, Field(ge=0)]
+    marker_share: Annotated[float, Field(gt=0, lt=1)] = 0.6
+    dictionary: str = "DICT_5X5_250"
+    layout: Literal["new", "legacy"] = "new"
+
+
 class Intrinsics(Part):
     """Pinhole camera in pixels with OpenCV's distortion (k1, k2, p1, p2, k3)."""
 
@@ -187,6 +204,7 @@ class Manifest(Part):
     camera: CameraBody
     sets: tuple[CaptureSet, CaptureSet, CaptureSet, CaptureSet]
     mask: str | None = None
+    board: DisplayedBoard | None = None
     provenance: Provenance = Provenance()
 
     @model_validator(mode="after")

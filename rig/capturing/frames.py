@@ -5,6 +5,7 @@ from functools import lru_cache
 import numpy as np
 
 from drivers.protocols import Frame, Patch
+from recon.calibration.board import BOARD, board_for_display
 from recon.patterns.coarse_scan import scan_levels, scan_name
 from recon.patterns.frame_tag import LARGEST_NUMBER, tag_levels
 from recon.patterns.pattern_frames import pattern_frame
@@ -35,6 +36,8 @@ def frame_of(photo: TakePhoto, config: RigConfig) -> Frame:
     if photo.sweep == REFERENCE:
         size = (config.display.columns, config.display.rows)
         return Frame(image=_reference_image(*size, reference_finest_px(config)), patches=patches)
+    if photo.sweep == BOARD:
+        return Frame(image=board_image(config), patches=patches)
     axis: Axis = "x" if photo.sweep == "x" else "y"
     shown = pattern_frame(config.pattern(axis), axis, photo.index, device_px=config.device_px(axis))
     return Frame(axis=axis, levels=shown.levels, patches=patches)
@@ -53,6 +56,13 @@ def reference_finest_px(config: RigConfig) -> float:
     if scales_mm[0] is None or scales_mm[1] is None:
         return finest_photo_px * config.display.columns / config.camera.columns
     return finest_photo_px * max(scales_mm[0], scales_mm[1]) / config.display.pitch_mm
+
+
+def board_image(config: RigConfig) -> np.ndarray:
+    """Return the drive levels [rows, columns] of the board that is shown in each set."""
+    wanted = config.capture.board
+    assert wanted is not None, "a plan has photos of a board only where the configuration asks for them"
+    return board_for_display(config.display, squares_along=wanted.squares_along).image
 
 
 @lru_cache(maxsize=1)

@@ -5,6 +5,7 @@ from typing import Any
 
 from pydantic import ValidationError
 
+from recon.calibration.board import board_places
 from recon.sessions.journal import now_text
 from recon.sessions.manifest import CaptureSet, DeviceRecord, Manifest, Provenance, Sweep
 from recon.sessions.session import Session
@@ -22,6 +23,7 @@ def manifest_of(config: RigConfig, *, devices: dict[str, DeviceRecord], scene: S
     first, second, third, fourth = (
         CaptureSet(position=position, condition=condition, sweeps=sweeps) for position, condition in set_order(config)
     )
+    board = config.capture.board
     configuration: dict[str, object] = {"rig": config.model_dump(mode="json")}
     if scene is not None:
         configuration["scene"] = scene.model_dump(mode="json")
@@ -38,6 +40,7 @@ def manifest_of(config: RigConfig, *, devices: dict[str, DeviceRecord], scene: S
         display_poses=config.display_poses,
         camera=config.camera,
         sets=(first, second, third, fourth),
+        board=board_places(config.display, squares_along=board.squares_along) if board else None,
         provenance=Provenance(
             software={"refractive-scan": version("refractive-scan")},
             devices=devices,

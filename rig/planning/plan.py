@@ -8,6 +8,7 @@ from collections import Counter
 from collections.abc import Collection, Iterator, Mapping
 from dataclasses import dataclass
 
+from recon.calibration.board import BOARD
 from recon.patterns.coarse_scan import scan_name
 from recon.patterns.pattern_frames import place_of_photo
 from recon.scene.scene_check import REFERENCE
@@ -65,6 +66,8 @@ def all_photos(config: RigConfig, ranges: Mapping[tuple[str, str], SweepRange] |
     for place in set_order(config):
         name = set_name(place)
         listed += [(name, "white", 0, None), (name, "black", 0, None)]
+        if config.capture.board is not None:
+            listed += [(name, BOARD, number, None) for number in range(config.capture.board.photos)]
         for axis in AXES:
             listed += [(name, scan_name(axis), bit, None) for bit in range(config.scan_bits(axis))]
         for axis in AXES:

@@ -18,7 +18,7 @@ FINE_LINE = {"width_px": 4.0, "step_px": 1.0}
 def rows_of(plan: Sequence[Step], config: RigConfig) -> Iterator[tuple[str, int, float]]:
     """Yield what happens, its number of photos and its seconds, with the photos of a sweep taken together."""
     text, photos, duration_s = "", 0, 0.0
-    singles = "white, black and scan" if config.capture.scan else "white and black"
+    singles = _singles(config)
     for step in plan:
         if isinstance(step, TakePhoto):
             single = step.sweep not in ("x", "y")
@@ -37,6 +37,13 @@ def rows_of(plan: Sequence[Step], config: RigConfig) -> Iterator[tuple[str, int,
             text = f"sweep {step.set_name} along {step.axis}"
     if text:
         yield text, photos, duration_s
+
+
+def _singles(config: RigConfig) -> str:
+    """Name the single photos that a set begins with."""
+    capture = config.capture
+    *first, last = ["white", "black", *(["board"] if capture.board else []), *(["scan"] if capture.scan else [])]
+    return f"{', '.join(first)} and {last}"
 
 
 def print_plan(plan: tuple[Step, ...], config: RigConfig, console: Console) -> None:

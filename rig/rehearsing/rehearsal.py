@@ -104,7 +104,8 @@ def new_world(
     world = World(
         clock=clock, tank=size, dark_frame=dark, state=state, on_change=on_change, light_delay_s=light_delay_s
     )
-    if config.watch is not None:
+    board = config.capture.board
+    if config.watch is not None or (board is not None and board.photos > 1):
         # Photos of the same frame are compared with each other: without noise of their own they would be one file twice.
         world.unrest.renew_noise()
     return world

@@ -65,6 +65,7 @@ class SceneOptions:
     watch: bool = False
     auto_exposure: bool = False
     code: Literal["gray_line", "phase_shift"] | None = None
+    board: bool = False
 
 
 def open_scene(name_or_path: str, options: SceneOptions) -> Scene:
@@ -116,6 +117,7 @@ def config_of_scene(scene: Scene, options: SceneOptions) -> RigConfig:
                 "code": {"kind": options.code} if options.code else None,
                 "scan": {} if options.scan else None,
                 "auto_exposure": {"setting": "shutter"} if options.auto_exposure else None,
+                "board": {} if options.board else None,
             },
             "live": _live(scene) if options.live else None,
             "watch": watch_of_scene(scene) if options.watch else None,
