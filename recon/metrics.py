@@ -175,6 +175,23 @@ class BoardResult(Part):
     sentences: tuple[str, ...]
 
 
+class LiquidIndexRecord(Part):
+    """The liquid's index: what was used and why, and what the session itself shows (null where it does not).
+
+    ``sd`` is that of a measured index, null for a stated one. ``level``: by the liquid's flat surface beside the object;
+    ``chords``: by the object's own points and normals.
+    """
+
+    n: float
+    sd: float | None
+    source: str
+    level_n: float | None
+    level_sd: float | None
+    chords_n: float | None
+    chords_sd: float | None
+    contradicted: bool
+
+
 class Metrics(Part):
     """All that ``metrics.json`` holds."""
 
@@ -199,6 +216,7 @@ class Metrics(Part):
     registration: RegistrationRecord | None = None
     board: BoardResult | None = None
     board_note: str = ""
+    liquid_index: LiquidIndexRecord | None = None
 
 
 def save_metrics(metrics: Metrics, path: Path) -> None:

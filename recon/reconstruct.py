@@ -101,8 +101,7 @@ def cross_paths(
     inside_mask: np.ndarray | None = None,
 ) -> tuple[UInt8[np.ndarray, " pixels"], Crossing]:
     """Cross the paths in liquid and in air of every matched pixel; return the status of all pixels and the crossings."""
-    liquid = manifest.liquid
-    assert liquid is not None, "the manifest's own check grants a liquid to this method"
+    n_liquid = manifest.n_liquid()
     by_name = {one.name: correspondences(sweeps, one, manifest) for one in manifest.sets}
     status = combined_status(list(by_name.values()))
     if inside_mask is not None:
@@ -110,11 +109,11 @@ def cross_paths(
     pixels = np.flatnonzero(status == PixelStatus.OK)
     paths = {
         condition: _paths(by_name, manifest, condition, pixels, n_medium=n, method=method)
-        for condition, n in (("liquid", liquid.n), ("air", manifest.n_air))
+        for condition, n in (("liquid", n_liquid), ("air", manifest.n_air))
     }
     points = entry_points(paths["liquid"], paths["air"], weighted=method == "full")
     route = normals_from_angles if method == "paper" else normals_from_paths
-    media = {"n_liquid": liquid.n, "n_air": manifest.n_air}
+    media = {"n_liquid": n_liquid, "n_air": manifest.n_air}
     normal = route(paths["liquid"].direction, paths["air"].direction, **media)
     crossing = Crossing(
         pixels=pixels,

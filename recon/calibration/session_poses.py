@@ -20,6 +20,7 @@ from recon.calibration.errors import CalibrationError
 from recon.calibration.lens import intrinsics_of
 from recon.calibration.prior import RigKnowledge, rig_knowledge
 from recon.calibration.wet_pose import WET_PANELS, Slip, slips, wet_poses
+from recon.media.stated_index import provisional
 from recon.reconstruct import SweepResults
 from recon.sessions.manifest import CaptureSet, Manifest
 from recon.sessions.session import Session
@@ -99,7 +100,7 @@ def session_poses(
             first,
             {position: _enough(views[name]) for position, name in enumerate(AIR_PANELS)},
             wet,
-            n_liquid=manifest.liquid.n,
+            n_liquid=provisional(manifest).n_liquid(),
             level=known.level,
             level_tilt_sd_rad=LEVEL_TILT_SD_RAD,
             n_air=manifest.n_air,

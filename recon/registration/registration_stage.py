@@ -54,8 +54,7 @@ def with_carried(crossing: Crossing, registration: Registration, manifest: Manif
 
     ``manifest`` has the poses in which the paths were crossed.
     """
-    liquid_body = manifest.liquid
-    assert liquid_body is not None, "the manifest's own check grants a liquid to this method"
+    n_liquid = manifest.n_liquid()
     if not registration.covariance.any():
         return crossing
     carried_mm2, carried_rad2 = np.empty(len(crossing.pixels)), np.empty(len(crossing.pixels))
@@ -71,13 +70,17 @@ def with_carried(crossing: Crossing, registration: Registration, manifest: Manif
         point = crossing_by_liquid(liquid, air, points) @ ((1 + lever) * near - lever * far)
         turn = (near - far) / liquid.baseline_mm[:, None, None]
         turn = turn - liquid.direction[:, :, None] * np.einsum("pi,pim->pm", liquid.direction, turn)[:, None]
-        along = liquid_body.n * liquid.direction - manifest.n_air * air.direction
+        along = n_liquid * liquid.direction - manifest.n_air * air.direction
         normal = crossing.normal[part]
-        tilt = liquid_body.n * (turn - normal[:, :, None] * np.einsum("pi,pim->pm", normal, turn)[:, None])
+        tilt = n_liquid * (turn - normal[:, :, None] * np.einsum("pi,pim->pm", normal, turn)[:, None])
         tilt = tilt / np.linalg.norm(along, axis=1)[:, None, None]
         for derivative, out in ((point, carried_mm2), (tilt, carried_rad2)):
             out[part] = np.einsum("pim,mn,pin->p", derivative, registration.covariance, derivative, optimize=True)
-    return replace(crossing, carried_mm2=carried_mm2, carried_rad2=carried_rad2)
+    return replace(
+        crossing,
+        carried_mm2=crossing.carried_mm2 + carried_mm2,
+        carried_rad2=crossing.carried_rad2 + carried_rad2,
+    )
 
 
 def record_of(registration: Registration) -> RegistrationRecord:

@@ -82,8 +82,8 @@ def register(
     ``known`` is the covariance of the slips that a calibration with wet poses leaves; without it they may be a tablet's in
     its holder.
     """
-    liquid = manifest.liquid
-    if len(places.pixels) < FEWEST_PIXELS or liquid is None:
+    n_liquid = manifest.n_liquid()
+    if len(places.pixels) < FEWEST_PIXELS:
         return None
     sample = _sample(len(places.pixels))
     columns = manifest.camera.columns
@@ -93,7 +93,7 @@ def register(
     before = wet_poses(manifest)
 
     def liquid_after(motions: Motions) -> LightPaths:
-        return paths_of(places, registered(manifest, motions), "liquid", sample, n_medium=liquid.n)
+        return paths_of(places, registered(manifest, motions), "liquid", sample, n_medium=n_liquid)
 
     def shifts(paths: LightPaths) -> Shifts:
         return motion_shifts(paths, before)

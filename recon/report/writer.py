@@ -10,6 +10,7 @@ from jaxtyping import Float, Integer
 from recon.calibration.calibration_file import Calibration
 from recon.errors import ReconError
 from recon.maps import Maps
+from recon.media.stated_index import with_index
 from recon.metrics import Metrics
 from recon.report.capture_section import capture_section
 from recon.report.map_section import map_section
@@ -67,6 +68,8 @@ def write_report(
     """
     if not out_dir.is_dir():
         raise ReconError(f"{out_dir}: no such folder; the report is written beside the other results")
+    if metrics.liquid_index is not None:
+        manifest = with_index(manifest, metrics.liquid_index.n)
     unit = LengthUnit.of(manifest.length_unit)
     triangles = None
     if mesh is not None:

@@ -7,7 +7,14 @@ import numpy as np
 from recon.calibration.calibration_file import read_calibration
 from recon.calibration.session_calibration import calibration_path
 from recon.maps import Maps
-from recon.metrics import RegistrationRecord, Statistic
+from recon.media.liquid_index import (
+    chosen_index,
+    index_sentences,
+    measured_index,
+    with_index_uncertainty,
+)
+from recon.media.stated_index import provisional, stated_index, with_index
+from recon.metrics import LiquidIndexRecord, RegistrationRecord, Statistic
 from recon.reconstruct import Crossing, cross_paths, maps_of
 from recon.registration.gap_fit import MotionCovariance
 from recon.registration.known_slips import known_slips
@@ -35,6 +42,7 @@ class Outcome:
     statistics: tuple[Statistic, ...]
     warnings: tuple[str, ...]
     registration: RegistrationRecord | None = None
+    liquid_index: LiquidIndexRecord | None = None
 
 
 def read_mask(session: Session) -> np.ndarray | None:
@@ -62,8 +70,17 @@ def reconstruct(
     if manifest.method == "thin":
         thin = thin_object(sweeps, manifest, method=settings.method, inside_mask=mask)
         return Outcome(thin.maps, thin.mesh, None, _statistics(thin.maps, None), thin.warnings)
-    registration, manifest = _register(session, sweeps, settings, mask, known)
+    stated = stated_index(manifest)
+    manifest = provisional(manifest)
+    registration, manifest = _register(session, manifest, sweeps, settings, mask, known)
     status, crossing = cross_paths(sweeps, manifest, method=settings.method, limits=settings.limits, inside_mask=mask)
+    index = chosen_index(stated, measured_index(crossing, manifest))
+    if stated is None:
+        manifest = with_index(manifest, index.n)
+        status, crossing = cross_paths(
+            sweeps, manifest, method=settings.method, limits=settings.limits, inside_mask=mask
+        )
+        crossing = with_index_uncertainty(crossing, manifest, sd=index.sd or 0.0)
     if registration is not None:
         crossing = with_carried(crossing, registration, manifest)
     shape = (manifest.camera.rows, manifest.camera.columns)
@@ -80,20 +97,21 @@ def reconstruct(
         surface.mesh,
         ratio,
         _statistics(surface.maps, crossing),
-        (*told, *_warnings(manifest), *surface.warnings),
+        (*told, *index_sentences(index), *_warnings(manifest), *surface.warnings),
         record_of(registration) if registration is not None else None,
+        index,
     )
 
 
 def _register(
     session: Session,
+    manifest: Manifest,
     sweeps: dict[tuple[str, str], SweepResult],
     settings: Settings,
     mask: np.ndarray | None,
     known: MotionCovariance | None,
 ) -> tuple[Registration | None, Manifest]:
     """Measure how the display slipped, if that was asked for, and return the manifest with the poses to use."""
-    manifest = session.manifest
     if settings.method != "full" or not settings.registration:
         return None, manifest
     path = calibration_path(session, settings.calibration)

@@ -67,6 +67,7 @@ def metrics_of(
         doubtful_ranges=_doubtful_ranges(session, sweeps),
         board=board.result(),
         board_note=board.note,
+        liquid_index=outcome.liquid_index,
     )
 
 

@@ -10,6 +10,8 @@ from typing import Annotated, Literal
 import numpy as np
 from pydantic import Field, model_validator
 
+from recon.errors import ReconError
+
 # Those named twice are part of a manifest's vocabulary, and other modules take them from here.
 from recon.sessions.pattern import Finite as Finite
 from recon.sessions.pattern import GrayLinePattern as GrayLinePattern
@@ -69,10 +71,13 @@ class ScannedObject(Part):
 
 
 class Liquid(Part):
-    """What the tank is filled with, and its refractive index at the colour of the stripe."""
+    """What the tank is filled with, and its refractive index at the colour of the stripe.
+
+    Without ``n``, water has that of ``temperature_c``, and any other liquid the one that the session itself shows.
+    """
 
     name: str = "water"
-    n: Index
+    n: Index | None = None
     temperature_c: Finite | None = None
 
 
@@ -233,6 +238,12 @@ class Manifest(Part):
     def set_named(self, name: str) -> CaptureSet:
         """Return the capture set with this name."""
         return next(capture_set for capture_set in self.sets if capture_set.name == name)
+
+    def n_liquid(self) -> float:
+        """Return the liquid's index; ``recon.media.liquid_index`` finds one for a manifest that states none."""
+        if self.liquid is None or self.liquid.n is None:
+            raise ReconError("the manifest does not state the liquid's index (liquid.n)")
+        return self.liquid.n
 
     def pose_of(self, capture_set: CaptureSet) -> Pose:
         """Return where the display stood in this set."""

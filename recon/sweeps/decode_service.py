@@ -17,6 +17,7 @@ import cv2
 import numpy as np
 
 from recon.errors import ReconError
+from recon.media.stated_index import provisional
 from recon.reconstruct import Limits, cross_paths
 from recon.sessions.manifest import Axis
 from recon.sessions.session import open_session
@@ -62,7 +63,7 @@ def _entry_points(folder: Path) -> dict[str, Any]:
         for one in manifest.sets
         for sweep in one.sweeps
     }
-    _, crossing = cross_paths(sweeps, manifest, method=METHOD, limits=Limits())
+    _, crossing = cross_paths(sweeps, provisional(manifest), method=METHOD, limits=Limits())
     fine = crossing.status == PixelStatus.OK
     variance = np.trace(crossing.points.covariance[fine], axis1=1, axis2=2)
     return {

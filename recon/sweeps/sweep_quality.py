@@ -9,6 +9,8 @@ from recon.status import PixelStatus
 from recon.sweeps.correspondence import SweepResult
 
 # The incidence that a prediction is made for: half-way between face on, where nothing is bent, and grazing.
+# Water, where the manifest leaves the index to the session.
+TYPICAL_N_LIQUID = 1.333
 TYPICAL_INCIDENCE_RAD = np.radians(30.0)
 
 
@@ -90,9 +92,10 @@ def predicted_entry_sd_mm(sd_px: float, manifest: Manifest, *, object_distance_m
     """
     if manifest.liquid is None:
         return float("nan")
+    n_liquid = manifest.liquid.n or TYPICAL_N_LIQUID
     first, second = (np.array(pose.centre_mm) for pose in manifest.display_poses)
     lever = object_distance_mm / float(np.linalg.norm(second - first))
-    bent = np.arcsin(min(manifest.n_air / manifest.liquid.n * np.sin(TYPICAL_INCIDENCE_RAD), 1.0))
+    bent = np.arcsin(min(manifest.n_air / n_liquid * np.sin(TYPICAL_INCIDENCE_RAD), 1.0))
     sine = np.sin(TYPICAL_INCIDENCE_RAD - bent)
     variance = (sd_px * manifest.display.pitch_mm) ** 2 * ((1 + lever) ** 2 + lever**2)
     return float(np.sqrt(variance * (2 / sine**2 + 0.5))) if sine != 0 else float("inf")

@@ -28,6 +28,7 @@ from recon.calibration.display_poses import (
 from recon.calibration.fep_error import Geometry, dome_geometry
 from recon.calibration.intrinsics import LensEstimate, calibrate_lens
 from recon.calibration.wet_pose import slips, wet_poses
+from recon.media.stated_index import PROVISIONAL_N, index_of
 from recon.report.calibration_page import CALIBRATION_PAGE_NAME, calibration_verdict, write_calibration_page
 from rig.calibrating.kept_photos import CAMERA, DRY, WET, Begun, KeptPhoto, begun_with, kept_photos, read_view
 from rig.config import RigConfig
@@ -130,11 +131,16 @@ def adjusted_poses(
         known.append(scale_known(sd=pitch.sd_share))
     if glass is not None and cover_glass is not None:
         known.append(glass_known(cover_glass.thickness_mm, sd_mm=glass.sd_mm))
+    liquid = index_of(config.liquid, primary=config.display.primary)
+    if liquid is None:
+        raise CaptureError(
+            "the display under liquid: its pose needs the liquid's index; give n, or for water temperature_c, in [liquid]"
+        )
     return wet_poses(
         first,
         dry,
         wet,
-        n_liquid=config.liquid.n,
+        n_liquid=liquid.n,
         n_air=config.n_air,
         cover_glass=cover_glass,
         known=known,
@@ -193,7 +199,7 @@ def _geometry(poses: BundleResult, config: RigConfig) -> Geometry | None:
         poses.state.panels,
         radius_mm=given.object_radius_mm,
         n_object=config.object.n or ORDINARY_GLASS_N,
-        n_liquid=config.liquid.n,
+        n_liquid=config.liquid.n or PROVISIONAL_N,
         n_air=config.n_air,
         gap_mm=given.object_gap_mm,
         cover_glass=config.display.cover_glass,

@@ -8,6 +8,7 @@ from typing import Any, Literal
 
 from drivers.protocols import Clock, Photo
 from recon.errors import SessionError
+from recon.media.stated_index import PROVISIONAL_N
 from recon.scene.scene_change import Finding, SceneLimits, SceneParts
 from recon.scene.scene_check import REFERENCE, SceneCheck, SceneChecker
 from recon.scene.scene_error import ErrorScale, typical_scale
@@ -82,7 +83,7 @@ class SceneWatch:
         self._scale = typical_scale(
             config.camera,
             config.display_poses,
-            n_liquid=config.liquid.n if config.liquid else (config.object.n or 1.5),
+            n_liquid=(config.liquid.n or PROVISIONAL_N) if config.liquid else (config.object.n or 1.5),
             n_air=config.n_air,
         )
         self._limits = SceneLimits(watch.shift_px, watch.sigmas, watch.light_share)

@@ -1,0 +1,148 @@
+"""The liquid's index: water by the published tables, and measured by sessions traced through the simulator's optics."""
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+from traced_session import Mishap, TracedSession, traced_session
+
+from recon.errors import ReconError
+from recon.media.level_index import index_from_level
+from recon.media.liquid_index import chosen_index, index_sentences, measured_index, with_index_uncertainty
+from recon.media.stated_index import StatedIndex, index_of, provisional, stated_index, with_index
+from recon.media.water import refractive_index, water_density_kg_per_m3, water_index
+from recon.reconstruct import Crossing, Limits, cross_paths
+from recon.running.outcome import reconstruct
+from recon.running.settings import Settings
+from recon.sessions.manifest import Liquid, Manifest
+from recon.sessions.session import Session
+from sim_backend.scene import load_scene
+
+# What a measured index is used for: normals to 0.1° at 30° of incidence.
+WANTED_N = 0.001
+
+
+@pytest.mark.parametrize(
+    ("wavelength_nm", "n"),
+    [(226.50, 1.394527), (589.00, 1.334344), (1013.98, 1.326135)],
+)
+def test_water_at_0_degrees_has_the_indices_of_the_release(wavelength_nm: float, n: float) -> None:
+    """IAPWS R9-97, Table 3, 0 °C and 0.1 MPa, six decimals."""
+    assert water_index(0.0, wavelength_nm=wavelength_nm) == pytest.approx(n, abs=1.0e-6)
+
+
+@pytest.mark.parametrize(
+    ("density", "temperature_k", "wavelength_nm", "n"),
+    [(997.047435, 298.15, 226.5, 1.39277824), (30.4758534, 773.15, 589.3, 1.00949307)],
+)
+def test_liquid_and_steam_agree_with_an_independent_program(
+    density: float, temperature_k: float, wavelength_nm: float, n: float
+) -> None:
+    """The check values that the package iapws gives in its documentation."""
+    found = refractive_index(density_kg_per_m3=density, temperature_k=temperature_k, wavelength_nm=wavelength_nm)
+    assert found == pytest.approx(n, abs=1e-8)
+
+
+@pytest.mark.parametrize(("temperature_c", "density"), [(4.0, 999.9749), (20.0, 998.2067), (25.0, 997.0470)])
+def test_water_has_the_density_of_the_published_table(temperature_c: float, density: float) -> None:
+    """Tanaka et al. 2001, Table 5."""
+    assert water_density_kg_per_m3(temperature_c) == pytest.approx(density, abs=1e-4)
+
+
+def test_water_outside_its_table_is_refused_in_one_sentence() -> None:
+    with pytest.raises(ReconError, match="0 to 40 °C"):
+        water_index(60.0, wavelength_nm=530.0)
+
+
+def test_only_water_of_known_temperature_has_an_index_without_being_told() -> None:
+    found = index_of(Liquid(name="Water", temperature_c=20.0), primary="blue")
+    assert found is not None
+    assert found.n == pytest.approx(1.3387, abs=5e-5)
+    assert index_of(Liquid(name="water"), primary="blue") is None
+    assert index_of(Liquid(name="glycerol", temperature_c=20.0), primary="blue") is None
+
+
+def untold(session: TracedSession) -> Manifest:
+    """Return the manifest as one who does not know the liquid writes it."""
+    assert session.manifest.liquid is not None
+    liquid = session.manifest.liquid.model_copy(update={"n": None, "name": "unknown"})
+    return session.manifest.model_copy(update={"liquid": liquid})
+
+
+def crossed(session: TracedSession, manifest: Manifest) -> Crossing:
+    return cross_paths(session.sweeps, provisional(manifest), method="full", limits=Limits())[1]
+
+
+@pytest.fixture(scope="module")
+def hemisphere() -> TracedSession:
+    return traced_session(load_scene("hemisphere").resized(camera_columns=192), noise_px=0.1)
+
+
+def test_level_beside_the_object_shows_the_index_without_being_told(hemisphere: TracedSession) -> None:
+    manifest = untold(hemisphere)
+    assert stated_index(manifest) is None
+    level = measured_index(crossed(hemisphere, manifest), provisional(manifest)).level
+    assert level is not None
+    assert level.n == pytest.approx(1.3355, abs=WANTED_N)
+    assert abs(level.n - 1.3355) < 4 * level.sd
+
+
+def test_object_alone_shows_the_index_to_within_its_own_uncertainty() -> None:
+    """A finer display, for which the points are less noisy; the cap fills the photo."""
+    scene = load_scene("semi_ellipsoid").resized(camera_columns=192, display_columns=1024)
+    session = traced_session(scene, noise_px=0.1)
+    chords = measured_index(crossed(session, untold(session)), provisional(untold(session))).chords
+    assert chords is not None
+    assert chords.sd < 1.5 * WANTED_N
+    assert abs(chords.n - 1.3) < 4 * chords.sd
+
+
+@pytest.mark.parametrize("n_liquid", [1.2, 1.36, 1.5])
+def test_exact_paths_at_a_level_give_the_index_whatever_the_tilt(n_liquid: float) -> None:
+    rng = np.random.default_rng(1)
+    place = rng.uniform(0, 1, (2000, 2))
+    lean = np.array([0.03, -0.02, -1.0]) / np.linalg.norm([0.03, -0.02, -1.0])
+    air = np.column_stack([0.3 * (place[:, 1] - 0.5), 0.3 * (place[:, 0] - 0.5), -np.ones(2000)])
+    air /= np.linalg.norm(air, axis=1, keepdims=True)
+    # Snell's law in vector form: the part across the upright shrinks by the ratio of the indices.
+    across = (air - (air @ lean)[:, None] * lean) / n_liquid
+    liquid = across + np.sqrt(1 - (across**2).sum(axis=1, keepdims=True)) * lean
+    found = index_from_level(liquid, air, upright=np.array([0.0, 0.0, 1.0]), place=place, n_air=1.0)
+    assert found is not None
+    # The lean of 2° is taken to first order about a provisional index.
+    assert found.n == pytest.approx(n_liquid, abs=2e-4)
+
+
+def test_reconstruction_without_an_index_uses_the_one_that_the_session_shows(hemisphere: TracedSession) -> None:
+    session = Session(Path("unused"), untold(hemisphere), {})
+    outcome = reconstruct(session, hemisphere.sweeps, Settings())
+    assert outcome.liquid_index is not None
+    assert outcome.liquid_index.n == pytest.approx(1.3355, abs=WANTED_N)
+    assert any("was not stated; the session shows 1.33" in sentence for sentence in outcome.warnings)
+
+
+def test_a_wrong_index_is_used_as_stated_and_contradicted(hemisphere: TracedSession) -> None:
+    measured = measured_index(crossed(hemisphere, hemisphere.manifest), hemisphere.manifest)
+    wrong = chosen_index(StatedIndex(1.345, "as stated"), measured)
+    assert wrong.n == 1.345
+    assert wrong.contradicted
+    assert "but the session shows 1.33" in index_sentences(wrong)[0]
+    right = chosen_index(StatedIndex(1.3355, "as stated"), measured)
+    assert not right.contradicted
+    assert index_sentences(right) == ()
+
+
+def test_normals_carry_the_uncertainty_of_a_measured_index(hemisphere: TracedSession) -> None:
+    manifest = hemisphere.manifest
+    here, there = (crossed(hemisphere, with_index(manifest, n)) for n in (1.3355, 1.3365))
+    carried = np.sqrt(with_index_uncertainty(here, manifest, sd=0.001).carried_rad2)
+    turned = np.linalg.norm(there.normal - here.normal, axis=1)
+    fine = np.isfinite(turned)
+    np.testing.assert_allclose(carried[fine], turned[fine], rtol=0.02, atol=1e-7)
+
+
+def test_a_session_that_shows_nothing_is_refused_in_one_sentence() -> None:
+    scene = load_scene("semi_ellipsoid").resized(camera_columns=24)
+    session = traced_session(scene, noise_px=0.1, mishap=Mishap())
+    with pytest.raises(ReconError, match=r"give liquid\.n"):
+        chosen_index(None, measured_index(crossed(session, untold(session)), provisional(untold(session))))
