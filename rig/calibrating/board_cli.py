@@ -7,7 +7,7 @@ import cv2
 import typer
 
 from rig import options
-from rig.calibrating.boards import board_picture, printed_board
+from rig.calibrating.boards import PRINTED_SQUARE_PX, board_picture, printed_board
 from rig.calibrating.calibration_steps import (
     leave_out,
     photograph_lens,
@@ -18,6 +18,7 @@ from rig.calibrating.calibration_steps import (
 from rig.calibrating.computation import compute_calibration
 from rig.calibrating.guide import Guide
 from rig.calibrating.kept_photos import CAMERA, DRY, WET
+from rig.calibrating.pose_capture import PREPARATIONS
 from rig.calibrating.terminal import FolderArgument, ready, say, yes
 from rig.errors import ConfigError
 from rig.options import Rig, choose_rig
@@ -115,6 +116,7 @@ def poses(
         SceneOptions(camera_columns=size, display_columns=display_columns, seed=seed),
         state=state,
     )
+    ready(rig, *PREPARATIONS, "The tank is filled, or the pump may fill it." if wet else "The tank is empty.")
     photograph_poses(folder, rig.config, wet=wet, fill=fill, simulation=simulation, say=say)
     say(f"{'wet' if wet else 'dry'} photos are kept in {folder}; next: `rig calibrate compute {folder}`")
 
@@ -150,7 +152,7 @@ def board_file(
     any_rig = choose_rig(True, None, SCENE, SceneOptions()).config
     chosen = with_board(any_rig, squares=_squares(squares) or (9, 6), square_mm=1.0, dictionary=dictionary)
     board = printed_board(chosen)
-    if not cv2.imwrite(str(file), board_picture(board)):
+    if not cv2.imwrite(str(file), board_picture(board, square_px=PRINTED_SQUARE_PX)):
         raise ConfigError(f"{file}: cannot be written; give the name of a .png file in a folder that exists")
     say(
         f"{file}: {board.squares_x} x {board.squares_y} squares of {board.dictionary}; print it, glue it to something flat, "

@@ -7,8 +7,9 @@ from recon.calibration.board import FEWEST_SQUARES, Board, ShownBoard, board_for
 from rig.config import RigConfig
 from rig.errors import ConfigError
 
-# Pixels of the picture along a square: whole numbers of them along a marker's cells.
-SQUARE_PX = 80
+# Pixels of the picture along a square: a marker of 5 × 5 bits and its border take six tenths of it, in whole pixels a cell.
+SQUARE_PX = 70
+PRINTED_SQUARE_PX = 210
 # Photos at one place show boards of different squares, so that no error of drawing or detection repeats in all of them.
 SHRINKING = (1.0, 0.85, 0.7)
 COARSEST = 2
@@ -27,10 +28,10 @@ def printed_board(config: RigConfig) -> Board:
     return board
 
 
-def board_picture(board: Board) -> UInt8[np.ndarray, "rows cols"]:
-    """Return a board as it is printed, with a white margin of half a square; a square is ``SQUARE_PX`` wide."""
-    margin_px = SQUARE_PX // 2
-    size = (board.squares_x * SQUARE_PX + 2 * margin_px, board.squares_y * SQUARE_PX + 2 * margin_px)
+def board_picture(board: Board, *, square_px: int = SQUARE_PX) -> UInt8[np.ndarray, "rows cols"]:
+    """Return a board as it is printed, with a white margin of half a square."""
+    margin_px = square_px // 2
+    size = (board.squares_x * square_px + 2 * margin_px, board.squares_y * square_px + 2 * margin_px)
     drawn = opencv_board(board).generateImage(size, marginSize=margin_px, borderBits=1)
     return np.ascontiguousarray(drawn, dtype=np.uint8)
 

@@ -1,7 +1,8 @@
 """The steps of a geometric calibration, each of which goes on where it was interrupted: photos for the lens, for the poses."""
 
 from collections import Counter
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import contextmanager
 from dataclasses import replace
 from pathlib import Path
 from typing import Literal
@@ -17,7 +18,7 @@ from rig.calibrating.hands import ConsoleHands, Hands
 from rig.calibrating.kept_photos import CAMERA, DRY, WET, begun_with, kept_photos, read_view
 from rig.calibrating.pose_capture import PoseCapture
 from rig.config import RigConfig
-from rig.devices import open_devices
+from rig.devices import Devices, open_devices
 from rig.planning.steps import Position
 from rig.rehearsing.board_hand import SimulatedHand
 from rig.rehearsing.rehearsal import SimulatedOperator, Simulation
@@ -105,8 +106,22 @@ def photograph_poses(
     with (
         open_devices(config, simulation=simulation) as devices,
         CalibrationFolder(folder, part, go_on=True) as kept,
+        _object_out(devices),
     ):
         PoseCapture(devices, config, kept, say, fill).run(wet=wet, done=done)
+
+
+@contextmanager
+def _object_out(devices: Devices) -> Iterator[None]:
+    """Let the simulated person take the object out meanwhile; a real one was told to."""
+    if not isinstance(devices.operator, SimulatedOperator):
+        yield
+        return
+    devices.operator.do("remove_object", "")
+    try:
+        yield
+    finally:
+        devices.operator.do("insert_object", "")
 
 
 def photos_at_positions(folder: Path, part: str) -> dict[Position, int]:

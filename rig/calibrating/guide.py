@@ -15,6 +15,7 @@ from rig.calibrating.calibration_steps import (
 )
 from rig.calibrating.computation import compute_calibration
 from rig.calibrating.kept_photos import DRY, WET
+from rig.calibrating.pose_capture import PREPARATIONS
 from rig.calibrating.response_step import DRIFT_MIN, RESPONSE_PREPARATIONS, measure_response
 from rig.calibrating.session_calibration import with_calibration_of
 from rig.capturing.session_manifest import manifest_of
@@ -68,7 +69,8 @@ class Guide:
         if (self.folder / RESPONSE_NAME).is_file():
             self.say(f"done: {self.folder / RESPONSE_NAME}")
         elif self._wants(
-            self.response, "Measure levels, latency and flicker of the display now? It takes about 20 minutes."
+            self.response,
+            "Measure levels, latency and flicker of the display now? That is 220 photos and five minutes.",
         ):
             self.ready(*RESPONSE_PREPARATIONS)
             measure_response(self.folder, self.config, minutes=DRIFT_MIN, simulation=self.simulation, say=self.say)
@@ -96,11 +98,7 @@ class Guide:
         if min(dry.values()) >= photos:
             self.say(f"dry, done: {photos} photos at each position")
         else:
-            self.ready(
-                "Camera and display are in their places, and stay there from now on.",
-                "The tank is empty; the object is out of it, or leaves most of the display in sight.",
-                "The stage is free to move over its whole travel.",
-            )
+            self.ready(*PREPARATIONS, "The tank is empty.")
             self._photograph(wet=False, fill=False)
         wet = photos_at_positions(self.folder, WET)
         if self.config.method != "liquid":

@@ -26,7 +26,11 @@ POSITIONS: tuple[Position, Position] = (0, 1)
 ATTEMPTS = 2
 # Fewer of the corners than this means squares too small to be read, or something before the display.
 FEW_SHARE = 0.4
-TAKE_OUT = "Take the object out if it hides much of the display; touch neither display nor camera."
+PREPARATIONS = (
+    "Camera and display are in their places, and stay there from now on.",
+    "The object is out of the tank, or leaves most of the display in sight.",
+    "The stage is free to move over its whole travel.",
+)
 
 
 @dataclass(slots=True)
@@ -65,8 +69,6 @@ class PoseCapture:
         with StopRequest() as stop:
             with stop.at_once():
                 tank_ml = learn_tank_ml(devices, self.config)
-                self._guard.check("hands")
-                devices.operator.do("remove_object", TAKE_OUT)
             filled = self._make_wet(tank_ml, stop) if wet else self._be_dry(tank_ml)
             with stop.at_once():
                 self._photograph_all(done)

@@ -1,7 +1,7 @@
 """``rig calibrate run``: from a simulated rig that nobody knows to a calibration that agrees with the simulator's truth."""
 
-import json
 import re
+import shutil
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -14,11 +14,13 @@ from drivers.errors import DeviceNotFoundError
 from drivers.protocols import Photo
 from recon.calibration.calibration_file import Calibration, read_calibration
 from recon.calibration.errors import CalibrationError
+from rig.calibrating.boards import printed_board
 from rig.calibrating.calibration_steps import leave_out, lens_of_kept, photograph_lens, photograph_poses
 from rig.calibrating.computation import compute_calibration
 from rig.calibrating.guide import Guide
+from rig.calibrating.hands import ConsoleHands
 from rig.config import RigConfig, parse_config
-from rig.errors import CaptureError
+from rig.errors import CaptureError, ConfigError
 from rig.rehearsing.board_hand import SimulatedHand
 from rig.rehearsing.rehearsal import Simulation
 from rig.rehearsing.scene_config import SceneOptions, config_of_scene, open_scene
@@ -257,19 +259,48 @@ def test_a_computation_without_photos_names_the_command_that_takes_them(
         compute_calibration(tmp_path, [].append)
 
 
-def test_a_view_that_is_left_out_takes_no_part(lab: Lab, tmp_path: Path) -> None:
-    copy = tmp_path / "copy"
-    copy.mkdir()
-    (copy / "photos").symlink_to(lab.folder / "photos")
-    (copy / "journal.jsonl").write_bytes((lab.folder / "journal.jsonl").read_bytes())
+@pytest.fixture
+def copy(lab: Lab, tmp_path: Path) -> Path:
+    """The lab's folder, to be written to."""
+    folder = tmp_path / "copy"
+    shutil.copytree(lab.folder, folder)
+    return folder
+
+
+def test_a_view_that_is_left_out_takes_no_part(lab: Lab, copy: Path) -> None:
     with pytest.raises(CalibrationError, match="no photo of camera that counts is called 0099"):
         leave_out(copy, "camera", ["0099"])
     leave_out(copy, "camera", ["0003"])
     names = [view.name for view in lens_of_kept(copy, lab.config).views]
     assert "0002" in names
     assert "0003" not in names
-    last = json.loads((copy / "journal.jsonl").read_text(encoding="utf-8").splitlines()[-1])
-    assert last["event"] == "calibration_photo_left_out"
+    assert (copy / "photos" / "camera" / "0003.jpg").exists()
+
+
+def test_the_letters_b_and_d_leave_out_the_last_photo_and_end(
+    lab: Lab, copy: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    kept = [view.name for view in lens_of_kept(copy, lab.config).views]
+    leave_out(copy, "camera", kept[-2:])
+    typed = iter(["x", "b", "d"])
+    monkeypatch.setattr("sys.stdin.isatty", lambda: True, raising=False)
+    monkeypatch.setattr("builtins.input", lambda question: next(typed))  # noqa: ARG005
+    monkeypatch.setattr("rig.calibrating.calibration_steps.hands_at", lambda devices, config, board: ConsoleHands())  # noqa: ARG005
+    found = photograph_lens(copy, lab.config, simulation=lab.simulation(), say=lab.said.append)
+    assert [view.name for view in found.views] == kept[:-3]
+    assert [view.name for view in lens_of_kept(copy, lab.config).views] == kept[:-3]
+
+
+def test_nobody_at_the_terminal_is_said_so(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("sys.stdin.isatty", lambda: False, raising=False)
+    with pytest.raises(CaptureError, match="a person has to answer"):
+        ConsoleHands().pose(0, ())
+
+
+def test_a_printed_board_that_nobody_measured_is_refused(lab: Lab) -> None:
+    given = lab.config.calibrate.model_copy(update={"square_mm": None})
+    with pytest.raises(ConfigError, match="measure the squares of the printed board with a caliper"):
+        printed_board(lab.config.model_copy(update={"calibrate": given}))
 
 
 def test_a_configuration_takes_its_boards_from_the_section_calibrate(config: RigConfig) -> None:
