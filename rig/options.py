@@ -111,6 +111,8 @@ OPTION_OF: dict[str, tuple[str, str]] = {
     "watch": ("--watch", "[watch]"),
     "auto_exposure": ("--auto-exposure", "[capture.auto_exposure]"),
     "order": ("--order", "[capture]"),
+    "code": ("--code", "[capture.code]"),
+    "board": ("--board", "[capture.board]"),
     "seed": ("--seed", ""),
 }
 
