@@ -11,8 +11,6 @@ from dataclasses import dataclass
 import numpy as np
 from jaxtyping import Bool, Float64
 
-from recon.calibration.level_response import drive_levels
-from recon.calibration.response_record import RESPONSE_NAME, read_response
 from recon.metrics import PhotoQuality, SampleCurve
 from recon.sessions.manifest import Axis, CaptureSet
 from recon.sessions.pattern import PhaseShiftPattern
@@ -20,6 +18,7 @@ from recon.sessions.photos import saturation_count
 from recon.sessions.session import Session
 from recon.status import PixelStatus
 from recon.sweeps.correspondence import LEAST_PEAK_COUNTS, PEAK_SIGMA, SweepResult
+from recon.sweeps.display_response import response_of, response_undone
 from recon.sweeps.likelihood import LARGEST_MISFIT
 from recon.sweeps.noise import ROUNDING_VARIANCE, NoiseModel, noise_from_residuals
 from recon.sweeps.photo_stream import black_photo, has_black, photo_stream
@@ -94,19 +93,19 @@ def decode_phase_shift(
     pixels = camera.rows * camera.columns
     quality: list[PhotoQuality] = []
     some = np.arange(0, pixels, max(-(-pixels // NOISE_SAMPLE_PIXELS), 1))
-    linear = response_undone(session)
+    response = response_of(session)
     tracker, samples = PhaseTracker(pixels, pattern), np.empty((pattern.count, len(some)))
     clipped = np.zeros(pixels, dtype=bool)
     numbers = session.photo_numbers(capture_set, axis)
     photos = photo_stream(session, capture_set, axis, numbers, quality=quality, on_photo=on_photo)
     for number, counts in enumerate(photos):
         clipped |= counts.ravel() >= saturation_count(counts)
-        values = linear(counts.ravel().astype(np.float64))
+        values = response_undone(counts, response)
         samples[number] = values[some]
         tracker.feed(values)
     phases = tracker.finish()
     black = black_photo(session, capture_set) if has_black(session, capture_set) else None
-    level = np.zeros(pixels) if black is None else linear(black.ravel().astype(np.float64))
+    level = np.zeros(pixels) if black is None else response_undone(black, response)
     noise = _noise(phases, samples, some, pattern, black=level)
     sd_turns, misfit = _phase_sd(phases, pattern, noise=noise, black=level)
     places = unwrapped(phases.turns, sd_turns, pattern)
@@ -122,15 +121,6 @@ def decode_phase_shift(
         photos=tuple(quality),
         curves=_curves(samples, some, phases, places, pattern, photos=tuple(quality), status=status, columns=shape[1]),
     )
-
-
-def response_undone(session: Session) -> Callable[[np.ndarray], np.ndarray]:
-    """Return what makes counts follow drive levels: the session's measured response, undone; nothing where it has none."""
-    path = session.folder / RESPONSE_NAME
-    levels = read_response(path).levels if path.is_file() else None
-    if levels is None:
-        return lambda counts: counts
-    return lambda counts: drive_levels(counts, level=np.array(levels.level), value=np.array(levels.value))
 
 
 def neighbour_ratio(place_px: Float64[np.ndarray, "rows cols"], sd_px: Float64[np.ndarray, "rows cols"]) -> float:

@@ -6,6 +6,8 @@ from pathlib import Path
 from recon.calibration.calibration_file import calibrated, read_calibration
 from recon.calibration.response_record import RESPONSE_NAME, read_response
 from recon.calibration.validity import accepted
+from recon.errors import SessionError
+from recon.sessions.disk import Disk, write_fault, write_whole
 from recon.sessions.manifest import Manifest
 
 PROVENANCE = "calibration"
@@ -46,6 +48,21 @@ def with_calibration_of(manifest: Manifest, file: str | None) -> tuple[Manifest,
     configuration = {**manifest.provenance.configuration, PROVENANCE: source}
     provenance = manifest.provenance.model_copy(update={"configuration": configuration})
     return taken_over.model_copy(update={"provenance": provenance}), tuple(warnings)
+
+
+def keep_response(folder: Path, file: str | None) -> None:
+    """Copy the ``response.json`` beside the calibration ``file`` into a session, whose fringes are read with it.
+
+    It is copied before the first photo, and again on resuming where a power cut came between.
+    """
+    source = Path(file).with_name(RESPONSE_NAME) if file is not None else None
+    target = folder / RESPONSE_NAME
+    if source is None or target.exists() or not source.is_file():
+        return
+    try:
+        write_whole(target, source.read_bytes(), disk=Disk())
+    except OSError as error:
+        raise SessionError(write_fault(target, error)) from error
 
 
 def changed_settings(measured: dict[str, str], now: dict[str, str]) -> list[str]:

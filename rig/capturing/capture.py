@@ -15,7 +15,8 @@ from rich.progress import Progress
 from recon.scene.scene_check import REFERENCE
 from recon.sessions.journal import JOURNAL_NAME, read_journal
 from recon.sessions.session import Session, SessionWriter, open_session
-from rig.calibrating.session_calibration import with_calibration_of
+from rig.calibrating.session_calibration import keep_response, with_calibration_of
+from rig.capture_sections import PhaseShiftCode
 from rig.capturing.aftermath import aftermath, aftermath_text
 from rig.capturing.capture_run import CaptureRun
 from rig.capturing.disk_room import disk_fault
@@ -92,6 +93,8 @@ def capture(
             for doubt in doubts:
                 console.print(f"[yellow]warning:[/yellow] {escape(doubt)}")
             writer = stack.enter_context(SessionWriter.create(folder, manifest))
+        if isinstance(config.capture.code, PhaseShiftCode):
+            keep_response(folder, config.calibration)
         with stop.at_once():
             tank_ml = learn_tank_ml(devices, config, looked=checked)
         photos = summarise(plan_capture(config, done=known.done, ranges=known.ranges, tank_ml=tank_ml), config).photos

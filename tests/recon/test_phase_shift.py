@@ -7,8 +7,11 @@ import pytest
 from pydantic import ValidationError
 
 from recon.calibration.level_response import drive_levels, fit_levels
+from recon.calibration.response_record import level_record
+from recon.errors import SessionError
 from recon.patterns.phase_shift import fringe, periods_for, phase_shift_levels
 from recon.sessions.pattern import PhaseShiftPattern
+from recon.sweeps.display_response import response_undone
 from recon.sweeps.phase_shift import Phases, PhaseTracker, neighbour_ratio, unwrapped
 
 FACET = Path(__file__).parents[1] / "data/opencsp-sofast-facet/facet.npz"
@@ -149,3 +152,14 @@ def test_the_response_of_a_display_is_undone_exactly_at_the_levels_that_were_mea
     value = 4 + 220 * (level / 255) ** 2.2
     measured = fit_levels(level, value, np.zeros(18), full_scale=255.0)
     np.testing.assert_allclose(drive_levels(value, level=measured.level, value=measured.monotone), level, atol=1e-9)
+
+
+def test_a_response_of_other_photos_is_refused_in_one_sentence() -> None:
+    level = np.linspace(0, 255, 18)
+    record = level_record(fit_levels(level, 4 + 220 * (level / 255) ** 2.2, np.zeros(18), full_scale=255.0))
+    with pytest.raises(
+        SessionError, match=r"response\.json: it was measured with counts up to 255, .* 65535; measure it"
+    ):
+        response_undone(np.zeros((2, 2), np.uint16), record)
+    counts = np.rint(4 + 220 * (np.array([[0.0, 60.0, 255.0]]) / 255) ** 2.2).astype(np.uint8)
+    np.testing.assert_allclose(response_undone(counts, record), [0.0, 60.0, 255.0], atol=2.5)

@@ -13,6 +13,7 @@ from recon.calibration.response_record import ResponseRecord, write_response
 from recon.sessions.manifest import Pose
 from recon.sessions.session import open_session
 from rig.calibrating.session_calibration import with_calibration_of
+from rig.capture_sections import PhaseShiftCode
 from rig.capturing.capture import capture
 from rig.capturing.session_manifest import manifest_of
 from rig.cli import main
@@ -99,6 +100,18 @@ def test_a_response_beside_the_calibration_is_named_and_its_other_settings_are_t
     source = manifest.provenance.configuration["calibration"]
     assert isinstance(source, dict)
     assert source["response"]["created"] == CREATED
+
+
+def test_a_capture_of_fringes_keeps_the_response_that_they_are_read_with(
+    tmp_path: Path, in_mm: RigConfig, scene: Scene, file: Path, open_bench
+) -> None:
+    response = ResponseRecord(schema_version=1, name="r", created=CREATED, display=in_mm.display)
+    write_response(file.with_name("response.json"), response)
+    fringes = in_mm.capture.model_copy(update={"code": PhaseShiftCode(kind="phase_shift", finest_period_px=8.0)})
+    config = in_mm.model_copy(update={"calibration": str(file), "capture": fringes})
+    with open_bench(config, scene) as (devices, _):
+        capture(config, tmp_path / "s", devices=devices, scene=scene, resume=False, console=Console(width=400))
+    assert (tmp_path / "s" / "response.json").read_bytes() == file.with_name("response.json").read_bytes()
 
 
 def test_without_a_calibration_the_manifest_stays_as_configured(config: RigConfig, scene: Scene) -> None:
