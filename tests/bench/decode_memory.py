@@ -1,9 +1,9 @@
-"""Time and peak memory of decoding one sweep, for sweeps of two lengths: the memory must not grow with the length.
+"""Time and peak memory of decoding one sweep, of three lengths and with each code: the memory must not grow with the length.
 
-    python -m tests.bench.decode_memory [--size 1024] [--method full]
+    python -m tests.bench.decode_memory [--size 1024]
 
 Each sweep is decoded in a process of its own, on one thread, and its peak is compared with that of a process that only
-imports the decoder. The photos are made here: a smooth stripe over the whole field, photon noise, about 8 bits.
+imports the decoder. The photos are made here: the pattern's own levels over the whole field, photon noise, about 8 bits.
 """
 
 import argparse
@@ -12,18 +12,40 @@ import subprocess
 import sys
 import tempfile
 import time
+from collections.abc import Iterator
 from pathlib import Path
 
 import numpy as np
 import simplejpeg
 
+from recon.patterns.pattern_frames import pattern_frame
+from recon.patterns.phase_shift import periods_for
+from recon.sessions.manifest import Sweep
+
 LENGTHS = (48, 96, 192)
+STRIPE = {"profile": "raised_cosine", "width_px": 6.0, "first_px": 0.0, "step_px": 1.0}
+
+
+def patterns() -> Iterator[tuple[str, int, dict[str, object]]]:
+    """Yield name, device pixels and fields of each pattern."""
+    for places in LENGTHS:
+        yield "stripe", places, {**STRIPE, "count": places}
+    for places in (LENGTHS[-1], 8 * LENGTHS[-1]):
+        yield "gray_line", places, {**STRIPE, "kind": "gray_line", "period_px": 16.0, "places": places}
+    for places in (LENGTHS[-1], 8 * LENGTHS[-1]):
+        periods = periods_for(float(places), finest_px=16.0, frequencies=3)
+        yield (
+            "phase_shift",
+            places,
+            {"kind": "phase_shift", "periods_px": periods, "steps": 8, "first_px": 0.0, "last_px": places - 1.0},
+        )
+
+
 POSE = {"x_axis": [1.0, 0.0, 0.0], "y_axis": [0.0, 1.0, 0.0]}
 
 
-def write_session(folder: Path, *, size: int, places: int) -> None:
+def write_session(folder: Path, pattern: dict[str, object], *, size: int, places: int) -> None:
     """Write a session whose first sweep is real and whose other sweeps are links to it."""
-    pattern = {"profile": "raised_cosine", "width_px": 6.0, "first_px": 0.0, "step_px": 1.0, "count": places}
     sweeps = [{"axis": axis, "pattern": pattern} for axis in ("x", "y")]
     names = [(p, c) for c in ("air", "liquid") for p in (0, 1)]
     manifest = {
@@ -43,9 +65,10 @@ def write_session(folder: Path, *, size: int, places: int) -> None:
     rng = np.random.default_rng(0)
     seen = np.linspace(2, places - 3, size)
     lines = []
-    for index in range(places):
-        offset = np.abs(seen - index)
-        signal = np.where(offset < 3, 100 * (1 + np.cos(np.pi * offset / 3)), 0.0) + 4
+    shown = Sweep.model_validate(sweeps[0]).pattern
+    for index in range(shown.count):
+        levels = pattern_frame(shown, "x", index, device_px=places).levels
+        signal = 4 + 200 * np.interp(seen, np.arange(places), levels / 255)
         counts = rng.normal(signal, np.sqrt(0.5 + 0.02 * signal), (size, size))
         file = f"{index:04d}.jpg"
         grey = np.clip(np.rint(counts), 0, 255).astype(np.uint8)[:, :, None]
@@ -58,12 +81,12 @@ def decode(folder: Path, method: str) -> None:
     """Decode the first sweep and print what it took."""
     from recon.sessions.session import open_session
     from recon.stage_timer import peak_memory_mb
-    from recon.sweeps.correspondence import decode_sweep
+    from recon.sweeps.decode_pattern import decode_pattern
 
     session = open_session(folder)
     before = peak_memory_mb()
     start = time.perf_counter()
-    decode_sweep(session, session.manifest.sets[0], "x", method="paper" if method == "paper" else "full")
+    decode_pattern(session, session.manifest.sets[0], "x", method="paper" if method == "paper" else "full")
     wall = time.perf_counter() - start
     print(json.dumps({"wall_s": wall, "peak_mb": peak_memory_mb(), "of_decoding_mb": peak_memory_mb() - before}))
 
@@ -80,9 +103,10 @@ def main() -> None:
         return
     print(f"decoding one sweep of {arguments.size} x {arguments.size} photos on one thread")
     with tempfile.TemporaryDirectory() as scratch:
-        for places in LENGTHS:
-            folder = Path(scratch) / str(places)
-            write_session(folder, size=arguments.size, places=places)
+        for number, (name, places, pattern) in enumerate(patterns()):
+            folder = Path(scratch) / str(number)
+            write_session(folder, pattern, size=arguments.size, places=places)
+            photos = Sweep.model_validate({"axis": "x", "pattern": pattern}).pattern.count
             for method in ("paper", "full"):
                 command = [
                     sys.executable,
@@ -95,7 +119,8 @@ def main() -> None:
                 ]
                 done = json.loads(subprocess.run(command, check=True, capture_output=True, text=True).stdout)
                 print(
-                    f"{method:5} {places:4} photos: {done['wall_s']:6.2f} s, {places / done['wall_s']:6.1f} photos/s, "
+                    f"{name:11} {method:5} {photos:4} photos of {places} places: {done['wall_s']:6.2f} s, "
+                    f"{photos / done['wall_s']:6.1f} photos/s, "
                     f"peak {done['peak_mb']:.0f} MB, of which decoding {done['of_decoding_mb']:.0f} MB"
                 )
 
