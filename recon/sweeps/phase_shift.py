@@ -20,6 +20,7 @@ from recon.status import PixelStatus
 from recon.sweeps.correspondence import LEAST_PEAK_COUNTS, PEAK_SIGMA, SweepResult
 from recon.sweeps.display_response import response_of, response_undone
 from recon.sweeps.likelihood import LARGEST_MISFIT
+from recon.sweeps.map_scatter import scatter_beyond_px
 from recon.sweeps.noise import ROUNDING_VARIANCE, NoiseModel, noise_from_residuals
 from recon.sweeps.photo_stream import black_photo, has_black, photo_stream
 
@@ -109,36 +110,20 @@ def decode_phase_shift(
     noise = _noise(phases, samples, some, pattern, black=level)
     sd_turns, misfit = _phase_sd(phases, pattern, noise=noise, black=level)
     places = unwrapped(phases.turns, sd_turns, pattern)
-    sd_px = places.sd_px * neighbour_ratio(places.place_px.reshape(shape), places.sd_px.reshape(shape))
     status = _status(phases, places, pattern, noise=noise, clipped=clipped)
     fine = status == PixelStatus.OK
+    place_px, sd_px = (np.where(fine, one, np.nan).reshape(shape) for one in (places.place_px, places.sd_px))
+    # JPEG bends fringes finer than its blocks much alike in every phase: no residual shows it, the map of places does.
+    sd_px = np.hypot(sd_px, scatter_beyond_px(place_px, sd_px))
     return SweepResult(
-        place_px=np.where(fine, places.place_px, np.nan).reshape(shape),
-        sd_px=np.where(fine, sd_px, np.nan).astype(np.float32).reshape(shape),
+        place_px=place_px,
+        sd_px=sd_px.astype(np.float32),
         status=status.reshape(shape),
         noise=noise,
         misfit=float(np.median(misfit[fine])) if fine.any() else float("nan"),
         photos=tuple(quality),
         curves=_curves(samples, some, phases, places, pattern, photos=tuple(quality), status=status, columns=shape[1]),
     )
-
-
-def neighbour_ratio(place_px: Float64[np.ndarray, "rows cols"], sd_px: Float64[np.ndarray, "rows cols"]) -> float:
-    """Return how much more places scatter about their neighbours than their sd says, 1 at least.
-
-    JPEG compression bends fringes that are finer than its blocks much alike in every phase, so that no residual shows it. Third
-    differences along rows and columns do: a smooth map has next to none, and their variance is 20 times that of a place. The
-    two directions' variances are averaged: the error swings across the fringes faster than along them.
-    """
-    ratios = []
-    for axis in (0, 1):
-        if place_px.shape[axis] > 3:
-            third = np.diff(place_px, n=3, axis=axis)
-            sd = sd_px[3:] if axis == 0 else sd_px[:, 3:]
-            with np.errstate(invalid="ignore", divide="ignore"):
-                relative = np.abs(third) / (sd * np.sqrt(20.0))
-            ratios.append(1.4826 * float(np.nanmedian(relative)) if np.isfinite(relative).any() else 1.0)
-    return max(1.0, float(np.sqrt(np.mean(np.square(ratios))))) if ratios else 1.0
 
 
 def unwrapped(

@@ -12,7 +12,7 @@ from recon.errors import SessionError
 from recon.patterns.phase_shift import fringe, periods_for, phase_shift_levels
 from recon.sessions.pattern import PhaseShiftPattern
 from recon.sweeps.display_response import response_undone
-from recon.sweeps.phase_shift import Phases, PhaseTracker, neighbour_ratio, unwrapped
+from recon.sweeps.phase_shift import Phases, PhaseTracker, unwrapped
 
 FACET = Path(__file__).parents[1] / "data/opencsp-sofast-facet/facet.npz"
 AREA_PX = 2048.0
@@ -104,15 +104,6 @@ def test_fringes_that_leave_places_in_doubt_are_refused(changes: dict[str, objec
     fields = {"kind": "phase_shift", "periods_px": (1100.0, 16.0), "steps": 4, "first_px": 0.0, "last_px": 999.0}
     with pytest.raises(ValidationError, match=reason):
         PhaseShiftPattern.model_validate({**fields, **changes})
-
-
-def test_scatter_about_the_neighbours_beyond_the_sd_is_found_and_a_smooth_slope_is_none() -> None:
-    row, col = np.mgrid[:60, :80].astype(np.float64)
-    slope = 3 * col + 0.4 * row + 0.01 * col * row
-    noise = np.random.default_rng(5).standard_normal(slope.shape)
-    sd = np.full(slope.shape, 0.02)
-    assert neighbour_ratio(slope + 0.02 * noise, sd) == pytest.approx(1.0, abs=0.05)
-    assert neighbour_ratio(slope + 0.06 * noise, sd) == pytest.approx(3.0, rel=0.05)
 
 
 def test_a_real_display_in_a_real_mirror_is_read_to_a_millionth_of_the_screen() -> None:
