@@ -19,6 +19,7 @@ from rig.calibrating.kept_photos import CAMERA, DRY, WET, begun_with, kept_photo
 from rig.calibrating.pose_capture import PoseCapture
 from rig.config import RigConfig
 from rig.devices import Devices, open_devices
+from rig.errors import CaptureStopped
 from rig.planning.steps import Position
 from rig.rehearsing.board_hand import SimulatedHand
 from rig.rehearsing.rehearsal import SimulatedOperator, Simulation
@@ -74,7 +75,11 @@ def photograph_lens(folder: Path, config: RigConfig, *, simulation: Simulation |
     if so_far.views:
         say(f"{len(so_far.views)} photos are kept: {so_far.text()}")
     opened = open_camera_alone if printed else open_camera_and_display
-    with opened(config, simulation=simulation) as devices, CalibrationFolder(folder, CAMERA, go_on=True) as kept:
+    with (
+        _stopped_in_words(folder),
+        opened(config, simulation=simulation) as devices,
+        CalibrationFolder(folder, CAMERA, go_on=True) as kept,
+    ):
         hands = hands_at(devices, config, board)
         frame = None if shown is None else Frame(image=shown.image)
         return CameraCapture(devices, config, kept, hands, board, frame, say, list(so_far.views)).run()
@@ -104,11 +109,23 @@ def photograph_poses(
         say(f"{'wet' if wet else 'dry'}: {config.calibrate.photos} photos at each position are there already")
         return
     with (
+        _stopped_in_words(folder),
         open_devices(config, simulation=simulation) as devices,
         CalibrationFolder(folder, part, go_on=True) as kept,
         _object_out(devices),
     ):
         PoseCapture(devices, config, kept, say, fill).run(wet=wet, done=done)
+
+
+@contextmanager
+def _stopped_in_words(folder: Path) -> Iterator[None]:
+    """Let Ctrl-C end in one sentence."""
+    try:
+        yield
+    except KeyboardInterrupt:
+        raise CaptureStopped(
+            f"{folder}: stopped as asked; every photo so far is kept, and the same command goes on behind it"
+        ) from None
 
 
 @contextmanager

@@ -20,7 +20,7 @@ from rig.calibrating.computation import compute_calibration
 from rig.calibrating.guide import Guide
 from rig.calibrating.hands import ConsoleHands
 from rig.config import RigConfig, parse_config
-from rig.errors import CaptureError, ConfigError
+from rig.errors import CaptureError, CaptureStopped, ConfigError
 from rig.rehearsing.board_hand import SimulatedHand
 from rig.rehearsing.rehearsal import Simulation
 from rig.rehearsing.scene_config import SceneOptions, config_of_scene, open_scene
@@ -289,6 +289,19 @@ def test_the_letters_b_and_d_leave_out_the_last_photo_and_end(
     found = photograph_lens(copy, lab.config, simulation=lab.simulation(), say=lab.said.append)
     assert [view.name for view in found.views] == kept[:-3]
     assert [view.name for view in lens_of_kept(copy, lab.config).views] == kept[:-3]
+
+
+def test_ctrl_c_ends_in_a_sentence_and_keeps_every_photo(lab: Lab, copy: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    leave_out(copy, "camera", [lens_of_kept(copy, lab.config).views[-1].name])
+    before = sorted(path.name for path in (copy / "photos" / "camera").iterdir())
+
+    def interrupted(*told: object) -> str:  # noqa: ARG001
+        raise KeyboardInterrupt
+
+    monkeypatch.setattr(SimulatedHand, "pose", interrupted)
+    with pytest.raises(CaptureStopped, match="every photo so far is kept, and the same command goes on"):
+        photograph_lens(copy, lab.config, simulation=lab.simulation(), say=lab.said.append)
+    assert sorted(path.name for path in (copy / "photos" / "camera").iterdir()) == before
 
 
 def test_nobody_at_the_terminal_is_said_so(monkeypatch: pytest.MonkeyPatch) -> None:
