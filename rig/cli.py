@@ -30,6 +30,7 @@ from rig.errors import CaptureStopped, ConfigError, RigError
 from rig.options import choose_rig, rig_of_session
 from rig.planning.plan import plan_capture
 from rig.planning.plan_table import print_plan
+from rig.planning.predicted import alternatives, print_prediction
 from rig.planning.steps import step_text
 from rig.rehearsing.scene_config import SceneOptions, config_of_scene, open_scene
 from rig.rehearsing.simulate import simulate_session, simulate_truth
@@ -181,6 +182,21 @@ def plan(
     code: options.CodeOption = None,
     watch: options.WatchOption = False,
     board: options.BoardOption = False,
+    predict: Annotated[
+        str | None,
+        typer.Option(
+            "--predict",
+            metavar="OBJECT",
+            help="Say instead how sure points and normals of an object would be, and where the display should stand: "
+            "'sphere RADIUS' in mm, or 'plane SIZE TILT' in mm and degrees.",
+        ),
+    ] = None,
+    place_sd_px: Annotated[
+        float,
+        typer.Option(
+            "--place-sd-px", min=1e-4, help="With --predict: expected sd of a place on the display, in its pixels."
+        ),
+    ] = 0.1,
 ) -> None:
     """Say what a capture will do and cost.
 
@@ -190,6 +206,9 @@ def plan(
         profile, width_px, step_px, order, size, display_columns, scan=scan, watch=watch, code=code, board=board
     )
     rig = choose_rig(sim or scene is not None, config, scene, changes)
+    if predict is not None:
+        print_prediction(alternatives(rig.config, predict, place_sd_px=place_sd_px), rig.config, console)
+        return
     print_plan(plan_capture(rig.config), rig.config, console)
 
 
