@@ -1,6 +1,5 @@
 """The ``recon`` command: each subcommand parses, calls one function and prints one result."""
 
-import math
 import sys
 from pathlib import Path
 from typing import Annotated
@@ -13,13 +12,24 @@ from recon.errors import ReconError, sentence
 from recon.evaluation import command as evaluation_command
 from recon.metrics import Metrics, StageTime
 from recon.progress import progress_bar
-from recon.reconstruct import Limits
+from recon.running.options import (
+    DEFAULT,
+    AngleSigma,
+    BoardSwitch,
+    CalibrationFile,
+    ForceSwitch,
+    GapSigma,
+    LargestGapShare,
+    MethodOption,
+    RegistrationSwitch,
+    SmallestAngle,
+    limits_of,
+)
 from recon.running.settings import Settings
 from recon.sessions.importer import import_folder, read_layout
 from recon.sessions.session import open_session
 from recon.sessions.wholeness import faults
 from recon.study.command import register as register_study
-from recon.sweeps.correspondence import Method
 from recon.view import register as register_view
 
 app = typer.Typer(
@@ -32,62 +42,27 @@ app = typer.Typer(
 SessionFolder = Annotated[Path, typer.Argument(metavar="SESSION", help="Folder of a session.")]
 
 
-DEFAULT = Limits()
-
-
 @app.command()
 def run(
     session: SessionFolder,
     out: Annotated[Path | None, typer.Option(help="Folder for the results. [default: SESSION/recon-METHOD]")] = None,
-    method: Annotated[
-        Method, typer.Option(help="paper: as published; full: maximum likelihood, with uncertainties.")
-    ] = "full",
-    smallest_angle_deg: Annotated[
-        float, typer.Option(min=0.0, help="Method paper: smallest angle between the two light paths, degrees.")
-    ] = 1.0,
-    largest_gap_share: Annotated[
-        float,
-        typer.Option(
-            min=0.0, help="Method paper: largest gap between the paths, as a share of the displays' distance."
-        ),
-    ] = DEFAULT.largest_gap_share,
-    gap_sigma: Annotated[
-        float, typer.Option(min=0.0, help="Method full: largest gap in standard deviations.")
-    ] = DEFAULT.gap_sigma,
-    angle_sigma: Annotated[
-        float, typer.Option(min=0.0, help="Method full: smallest angle in standard deviations.")
-    ] = DEFAULT.angle_sigma,
+    method: MethodOption = "full",
+    smallest_angle_deg: SmallestAngle = 1.0,
+    largest_gap_share: LargestGapShare = DEFAULT.largest_gap_share,
+    gap_sigma: GapSigma = DEFAULT.gap_sigma,
+    angle_sigma: AngleSigma = DEFAULT.angle_sigma,
     threads: Annotated[int, typer.Option(min=0, help="Threads for decoding; 0 takes every core.")] = 0,
-    calibration: Annotated[
-        Path | None,
-        typer.Option(
-            help="Calibration of the rig, whose poses replace the manifest's. [default: SESSION/calibration.json, if it is there]"
-        ),
-    ] = None,
-    registration: Annotated[
-        bool,
-        typer.Option(
-            help="Method full: correct how the display slipped in its plane between air and liquid, as the gaps between "
-            "the light paths tell it."
-        ),
-    ] = True,
-    force: Annotated[
-        bool, typer.Option("--force", help="Make everything anew, whatever earlier runs have kept.")
-    ] = False,
-    board: Annotated[
-        bool,
-        typer.Option(
-            "--board/--no-board",
-            help="Measure the display's pose in each set by the session's photos of a board, if it has any.",
-        ),
-    ] = True,
+    calibration: CalibrationFile = None,
+    registration: RegistrationSwitch = True,
+    board: BoardSwitch = True,
+    force: ForceSwitch = False,
 ) -> None:
     """Reconstruct one session: maps, cloud, mesh, numbers and a report."""
     # Loads the report's plotting, which would slow every other command by a second.
     from recon.run import run_session
 
-    limits = Limits(
-        smallest_angle_rad=math.radians(smallest_angle_deg),
+    limits = limits_of(
+        smallest_angle_deg=smallest_angle_deg,
         largest_gap_share=largest_gap_share,
         gap_sigma=gap_sigma,
         angle_sigma=angle_sigma,

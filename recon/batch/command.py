@@ -18,8 +18,20 @@ from recon.batch.session_list import sessions_asked
 from recon.batch.session_status import SessionStatus
 from recon.batch.stop_signal import StopSignal
 from recon.errors import ReconError
+from recon.running.options import (
+    DEFAULT,
+    AngleSigma,
+    BoardSwitch,
+    CalibrationFile,
+    ForceSwitch,
+    GapSigma,
+    LargestGapShare,
+    MethodOption,
+    RegistrationSwitch,
+    SmallestAngle,
+    limits_of,
+)
 from recon.running.settings import Settings
-from recon.sweeps.correspondence import Method
 
 INTERRUPTED = 130
 
@@ -40,12 +52,14 @@ def batch_command(
         ),
     ] = None,
     out: Annotated[Path, typer.Option(help="Folder for the results, one folder a session.")] = Path("recon-batch"),
-    method: Annotated[
-        Method, typer.Option(help="paper: as published; full: maximum likelihood, with uncertainties.")
-    ] = "full",
-    calibration: Annotated[
-        Path | None, typer.Option(help="One calibration for all. [default: each session's own, if it has one]")
-    ] = None,
+    method: MethodOption = "full",
+    smallest_angle_deg: SmallestAngle = 1.0,
+    largest_gap_share: LargestGapShare = DEFAULT.largest_gap_share,
+    gap_sigma: GapSigma = DEFAULT.gap_sigma,
+    angle_sigma: AngleSigma = DEFAULT.angle_sigma,
+    calibration: CalibrationFile = None,
+    registration: RegistrationSwitch = True,
+    board: BoardSwitch = True,
     jobs: Annotated[
         int, typer.Option(min=0, help="Sessions at a time on this machine; 0 takes as many as there are cores.")
     ] = 0,
@@ -54,9 +68,7 @@ def batch_command(
         str | None,
         typer.Option(metavar="ADDRESS", help="Run on the Dask cluster of this scheduler, such as tcp://node1:8786."),
     ] = None,
-    force: Annotated[
-        bool, typer.Option("--force", help="Make everything anew, whatever earlier runs have kept.")
-    ] = False,
+    force: ForceSwitch = False,
     resume: Annotated[
         bool, typer.Option("--resume", help="Leave out what is done, or failed, with these settings.")
     ] = False,
@@ -66,7 +78,21 @@ def batch_command(
     if scheduler and jobs:
         raise ReconError("--jobs is for this machine; on a cluster its workers are the number of sessions at a time")
     named = sessions_asked(sessions) if sessions else recorded_sessions(out)
-    settings = Settings(method=method, threads=threads, calibration=calibration and calibration.resolve(), force=force)
+    limits = limits_of(
+        smallest_angle_deg=smallest_angle_deg,
+        largest_gap_share=largest_gap_share,
+        gap_sigma=gap_sigma,
+        angle_sigma=angle_sigma,
+    )
+    settings = Settings(
+        method=method,
+        limits=limits,
+        threads=threads,
+        calibration=calibration and calibration.resolve(),
+        registration=registration,
+        board=board,
+        force=force,
+    )
     batch = Batch(out.resolve(), named, settings)
     save_record(batch)
     names = chosen(batch, resume=resume, only_failed=only == "failed")
