@@ -19,8 +19,8 @@ def local_cluster(folder: Path, *, workers: int) -> Iterator[str]:
     with ExitStack() as stack:
         stack.enter_context(_program("dask_scheduler", folder, "--port", "0", "--scheduler-file", str(file)))
         for number in range(workers):
-            # A nanny puts a new worker in the place of one that is killed.
-            options = ("--nthreads", "1", "--memory-limit", "0", "--name", f"worker-{number}")
+            # Without a nanny one that is killed stays away, as where its machine is lost.
+            options = ("--no-nanny", "--nthreads", "1", "--memory-limit", "0", "--name", f"worker-{number}")
             files = ("--scheduler-file", str(file), "--local-directory", str(folder / f"scratch-{number}"))
             stack.enter_context(_program("dask_worker", folder, *options, *files, log=f"worker-{number}"))
         address = _address(file)

@@ -64,7 +64,8 @@ class BatchTalk:
     def stopping(self, running: int) -> None:
         """Say what the first Ctrl-C does, and what another one would."""
         self._say(
-            f"stopping: nothing new is begun, {counted(running)} will be finished; Ctrl-C again ends them at once"
+            f"stopping: nothing new is begun, {counted(running)} will be finished; Ctrl-C again ends "
+            f"{'it' if running == 1 else 'them'} at once"
         )
 
     def summary(self, rows: Sequence[GroupRow]) -> None:

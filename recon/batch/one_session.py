@@ -76,7 +76,8 @@ def _fault_of(task: SessionTask) -> str:
     try:
         if task.program != program_hash():
             raise ReconError(
-                f"recon on {socket.gethostname()} is not the one that this batch was begun with; install the same"
+                f"recon on {socket.gethostname()} is not the one that this batch was begun with, or was changed since; "
+                "install the same everywhere, and begin the batch again"
             )
         threads = task.settings.threads or max(usable_cores() // task.workers_at.get(place(), 1), 1)
         cv2.setNumThreads(threads)
