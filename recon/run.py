@@ -56,10 +56,11 @@ def run_session(
     board = _board(session, sweeps, settings, used, timer)
     session = board.corrected_session(session)
     with timer.stage("points, normals and surface") as stage:
-        key = outcome_key(session, sweeps, settings)
+        known = board.slip_covariance()
+        key = outcome_key(session, sweeps, settings, known=known)
         found = None if settings.force else kept_outcome(out, key)
         stage.kept = found is not None
-        outcome = found or reconstruct(session, sweeps, settings, known=board.slip_covariance())
+        outcome = found or reconstruct(session, sweeps, settings, known=known)
     with timer.stage("write maps, cloud and mesh") as stage:
         stage.kept = found is not None
         if found is None:

@@ -13,6 +13,7 @@ from recon.calibration.session_calibration import calibration_path
 from recon.errors import ReconError
 from recon.maps import MAPS_NAME, load_maps
 from recon.program import program_hash
+from recon.registration.gap_fit import MotionCovariance
 from recon.running.kept_stages import file_hash, forget_stage, keep_stage, kept_stage
 from recon.running.outcome import Outcome
 from recon.running.settings import Settings
@@ -26,8 +27,18 @@ ARRAYS = ("place_px", "sd_px", "status")
 ADAPTERS = {name: TypeAdapter(kind) for name, kind in get_type_hints(Outcome).items() if name not in ("maps", "mesh")}
 
 
-def outcome_key(session: Session, sweeps: Mapping[tuple[str, str], SweepResult], settings: Settings) -> str:
-    """Return the hash of all that the outcome follows from: places, manifest, mask, calibration, settings and program."""
+def outcome_key(
+    session: Session,
+    sweeps: Mapping[tuple[str, str], SweepResult],
+    settings: Settings,
+    *,
+    known: MotionCovariance | None = None,
+) -> str:
+    """Return the hash of all that the outcome follows from: places, manifest, mask, calibration, settings and program.
+
+    ``known`` is what the session's photos of a board leave unknown of the slips, as :func:`~recon.running.outcome.reconstruct`
+    takes it.
+    """
     calibration = calibration_path(session, settings.calibration)
     mask = session.manifest.mask
     parts = {
@@ -36,6 +47,7 @@ def outcome_key(session: Session, sweeps: Mapping[tuple[str, str], SweepResult],
         "manifest": session.manifest.model_dump(mode="json"),
         "mask": file_hash(session.folder / mask) if mask is not None else None,
         "calibration": file_hash(calibration) if calibration is not None else None,
+        "known": None if known is None else np.asarray(known).tolist(),
         "sweeps": {f"{name}/{axis}": _hash_of(sweep) for (name, axis), sweep in sweeps.items()},
     }
     return hashlib.sha256(json.dumps(parts, sort_keys=True, default=str).encode()).hexdigest()
