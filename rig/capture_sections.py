@@ -6,10 +6,28 @@ from pydantic import Field, model_validator
 
 from recon.calibration.board import board_places
 from recon.calibration.errors import CalibrationError
-from recon.sessions.manifest import DisplayPanel, Finite, Part, Positive
+from recon.sessions.manifest import CameraBody, DisplayPanel, Finite, Part, Positive
 
 Share = Annotated[float, Field(ge=0, le=1, allow_inf_nan=False)]
 PhotoPixel = Annotated[int, Field(ge=0)]
+NotNegative = Annotated[float, Field(ge=0, allow_inf_nan=False)]
+
+
+class Stripe(Part):
+    """The bright stripe: its profile, width and step, in device pixels of the display."""
+
+    profile: Literal["hard", "raised_cosine"]
+    width_px: Positive
+    step_px: Positive
+
+
+class SweptArea(Part):
+    """Where the stripe's centre goes: first and last device pixel along each axis, both included."""
+
+    first_column_px: NotNegative
+    last_column_px: NotNegative
+    first_row_px: NotNegative
+    last_row_px: NotNegative
 
 
 class Scan(Part):
@@ -71,6 +89,26 @@ class BoardPhotos(Part):
             board_places(display, squares_along=self.squares_along)
         except CalibrationError as error:
             raise ValueError(f"capture.board: {error}") from None
+
+
+class VisualRays(Part):
+    """Where the visual rays of a thin object come from; left out, they are photographed.
+
+    ``photographed``: two more sets, without the object. ``camera``: lens and pose of the calibrated camera give them, and the two
+    sets with the object suffice.
+    """
+
+    source: Literal["photographed", "camera"]
+
+    def check(self, camera: CameraBody, calibration: str | None, *, method: str) -> None:
+        """Raise ``ValueError`` where they are to come from a camera that nothing is known of."""
+        if method != "thin":
+            raise ValueError("capture.visual_rays belongs to method 'thin'; leave it out")
+        if self.source == "camera" and calibration is None and (camera.pose is None or camera.intrinsics is None):
+            raise ValueError(
+                "capture.visual_rays takes them from the camera: add the sections [camera.pose] and [camera.intrinsics] or a "
+                "calibration, or let them be photographed (source = 'photographed')"
+            )
 
 
 class Live(Part):

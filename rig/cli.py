@@ -80,6 +80,7 @@ def capture(
         typer.Option("--calibration", metavar="FILE", help="Measured poses and lens, in place of those configured."),
     ] = None,
     board: options.BoardOption = False,
+    visual_rays: options.VisualRaysOption = None,
     state: options.StateOption = None,
     real_time: options.RealTimeOption = False,
     pause_after: Annotated[
@@ -101,7 +102,20 @@ def capture(
         raise ConfigError("--sim and --sim-wire are two ways to rehearse; leave out one of them")
     sim = sim or sim_wire
     changes = SceneOptions(
-        profile, width_px, step_px, order, size, display_columns, seed, scan, live, watch, auto_exposure, code, board
+        profile,
+        width_px,
+        step_px,
+        order,
+        size,
+        display_columns,
+        seed,
+        scan,
+        live,
+        watch,
+        auto_exposure,
+        code,
+        board,
+        visual_rays,
     )
     if resume:
         if config is not None or scene is not None or calibration is not None or changes != SceneOptions():
@@ -148,6 +162,7 @@ def simulate(
     seed: options.SeedOption = None,
     code: options.CodeOption = None,
     board: options.BoardOption = False,
+    visual_rays: options.VisualRaysOption = None,
     workers: Annotated[int, typer.Option("--workers", min=1, help="Threads that compute photos.")] = 2,
     truth_only: Annotated[bool, typer.Option("--truth-only", help="Write manifest and truth, and no photo.")] = False,
 ) -> None:
@@ -155,7 +170,9 @@ def simulate(
 
     The photos are those of `rig capture --sim`, computed without going through devices.
     """
-    changes = SceneOptions(profile, width_px, step_px, order, size, display_columns, seed, code=code, board=board)
+    changes = SceneOptions(
+        profile, width_px, step_px, order, size, display_columns, seed, code=code, board=board, visual_rays=visual_rays
+    )
     opened = open_scene(scene, changes)
     if truth_only:
         simulate_truth(opened, config_of_scene(opened, changes), folder)
@@ -197,13 +214,24 @@ def plan(
             "--place-sd-px", min=1e-4, help="With --predict: expected sd of a place on the display, in its pixels."
         ),
     ] = 0.1,
+    visual_rays: options.VisualRaysOption = None,
 ) -> None:
     """Say what a capture will do and cost.
 
     Every move, fill and sweep in order, then photos, time, liquid and disk space together.
     """
     changes = SceneOptions(
-        profile, width_px, step_px, order, size, display_columns, scan=scan, watch=watch, code=code, board=board
+        profile,
+        width_px,
+        step_px,
+        order,
+        size,
+        display_columns,
+        scan=scan,
+        watch=watch,
+        code=code,
+        board=board,
+        visual_rays=visual_rays,
     )
     rig = choose_rig(sim or scene is not None, config, scene, changes)
     if predict is not None:

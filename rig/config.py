@@ -28,7 +28,19 @@ from recon.sessions.manifest import (
     ScannedObject,
 )
 from recon.sessions.pattern import Pattern, StripePattern
-from rig.capture_sections import AutoExposure, BoardPhotos, Calibrate, GrayLineCode, Live, PhaseShiftCode, Scan, Watch
+from rig.capture_sections import (
+    AutoExposure,
+    BoardPhotos,
+    Calibrate,
+    GrayLineCode,
+    Live,
+    PhaseShiftCode,
+    Scan,
+    Stripe,
+    SweptArea,
+    VisualRays,
+    Watch,
+)
 from rig.errors import ConfigError
 from rig.planning.coded_pattern import coded_pattern
 
@@ -36,23 +48,6 @@ NotNegative = Annotated[float, Field(ge=0, allow_inf_nan=False)]
 DEFAULT_FILE = Path("rig.toml")
 # A pump may run this much longer than its calibrated rate says before its own time limit ends the flow.
 PUMP_TIME_MARGIN = 1.2
-
-
-class Stripe(Part):
-    """The bright stripe: its profile, width and step, in device pixels of the display."""
-
-    profile: Literal["hard", "raised_cosine"]
-    width_px: Positive
-    step_px: Positive
-
-
-class SweptArea(Part):
-    """Where the stripe's centre goes: first and last device pixel along each axis, both included."""
-
-    first_column_px: NotNegative
-    last_column_px: NotNegative
-    first_row_px: NotNegative
-    last_row_px: NotNegative
 
 
 class FrameTag(Part):
@@ -83,6 +78,7 @@ class Capture(Part):
     scan: Scan | None = None
     auto_exposure: AutoExposure | None = None
     board: BoardPhotos | None = None
+    visual_rays: VisualRays | None = None
 
 
 class Tank(Part):
@@ -235,6 +231,8 @@ class RigConfig(Part):
             raise ValueError("method 'thin' needs the object's refractive index (n in section [object])")
         if self.capture.board is not None:
             self.capture.board.check(self.display, method=self.method)
+        if self.capture.visual_rays is not None:
+            self.capture.visual_rays.check(self.camera, self.calibration, method=self.method)
         return self
 
     @model_validator(mode="after")

@@ -88,6 +88,13 @@ BoardOption = Annotated[
     bool,
     typer.Option("--board", help="Photograph a calibration board on the display in each set: did the display slip?"),
 ]
+VisualRaysOption = Annotated[
+    Literal["photographed", "camera"] | None,
+    typer.Option(
+        "--visual-rays",
+        help="Thin objects. photographed: two sets without the object. camera: its calibration gives them, and two sets suffice.",
+    ),
+]
 StateOption = Annotated[
     Path | None,
     typer.Option(

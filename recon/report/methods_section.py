@@ -56,6 +56,12 @@ def methods_text(manifest: Manifest, metrics: Metrics, unit: LengthUnit) -> str:
             "the middle of the shortest segment between the two paths, and the normal follows from Snell's law in vector "
             "form, n ∝ λ₁U − λ₂V (Han et al., 2018)."
         )
+    elif manifest.visual_rays_from_camera:
+        sentences.append(
+            "The sets were taken at both positions with the object in place. The calibrated camera gives the visual ray of a "
+            "pixel, the two places of the stripe its refracted path; the normal follows from Snell's law for one refraction "
+            f"with the object's index n = {number(manifest.object.n, 5)} (Han et al., 2018)."
+        )
     else:
         sentences.append(
             "The sets were taken at both positions with and without the object. Without it the two places of a pixel give its "

@@ -207,18 +207,18 @@ class Manifest(Part):
     display: DisplayPanel
     display_poses: tuple[Pose, Pose]
     camera: CameraBody
-    sets: tuple[CaptureSet, CaptureSet, CaptureSet, CaptureSet]
+    sets: tuple[CaptureSet, ...]
     mask: str | None = None
     board: DisplayedBoard | None = None
     provenance: Provenance = Provenance()
 
     @model_validator(mode="after")
-    def _four_sets_of_the_method(self) -> "Manifest":
+    def _sets_of_the_method(self) -> "Manifest":
         conditions = ("air", "liquid") if self.method == "liquid" else ("without", "with")
-        wanted = {f"pos{position}_{condition}" for position in (0, 1) for condition in conditions}
-        found = {capture_set.name for capture_set in self.sets}
-        if found != wanted:
-            raise ValueError(f"method {self.method!r} needs the sets {sorted(wanted)}, found {sorted(found)}")
+        wanted = sorted(f"pos{position}_{condition}" for position in (0, 1) for condition in conditions)
+        found = sorted(capture_set.name for capture_set in self.sets)
+        if found != wanted and (self.method == "liquid" or found != ["pos0_with", "pos1_with"]):
+            raise ValueError(f"method {self.method!r} needs the sets {wanted}, found {found}")
         if self.method == "liquid" and self.liquid is None:
             raise ValueError("method 'liquid' needs the liquid and its index")
         if self.method == "thin" and self.object.n is None:
@@ -234,6 +234,11 @@ class Manifest(Part):
                 "the display must stand at two places"
             )
         return self
+
+    @property
+    def visual_rays_from_camera(self) -> bool:
+        """Whether a thin object was photographed with the object alone, so that lens and pose of the camera give its rays."""
+        return self.method == "thin" and len(self.sets) == 2
 
     def set_named(self, name: str) -> CaptureSet:
         """Return the capture set with this name."""

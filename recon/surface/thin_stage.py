@@ -1,7 +1,8 @@
 """Thin objects (the paper's second method): no liquid, the object in and out of the way instead.
 
-Without the object the two display points of a pixel give its visual ray; with it they give its PBC. One refraction is assumed:
-the visual ray runs on inside the object (index n) up to the surface that faces the display, so the normal there is
+Without the object the two display points of a pixel give its visual ray; with it they give its PBC. A calibrated camera gives the
+visual ray by itself, and the two sets without the object are not needed (footnote of the paper). One refraction is assumed: the
+visual ray runs on inside the object (index n) up to the surface that faces the display, so the normal there is
 n·U − n_air·V (Eq. 3 with U the visual ray and V the PBC). The two rays are nearly parallel, so their crossing is a poor place and
 only anchors the surface, which is integrated from the normals.
 """
@@ -13,12 +14,16 @@ import cv2
 import numpy as np
 from scipy.ndimage import label
 
+from recon.errors import SessionError
+from recon.geometry.beside import straight_paths
+from recon.geometry.camera_rays import camera_rays
 from recon.geometry.entry_point import entry_points
 from recon.geometry.light_paths import LightPaths, light_paths
 from recon.geometry.normals import normal_sd_rad, normals_from_paths
+from recon.geometry.sight import sight_rays
 from recon.maps import Maps
 from recon.reconstruct import Correspondences, combined_status, correspondences
-from recon.sessions.manifest import Manifest
+from recon.sessions.manifest import Manifest, Pose
 from recon.status import PixelStatus
 from recon.surface.fusion import fuse_on_rays
 from recon.surface.mesh import Mesh, mesh_from_point_map
@@ -32,6 +37,13 @@ NOMINAL_SD_PX = 0.05
 ONE_REFRACTION = (
     "One refraction is assumed: the error of the normals grows with the object's thickness, and a plane-parallel plate "
     "cannot be told from nothing."
+)
+
+
+PHOTOGRAPHED = "The visual rays were measured: the display was photographed without the object as well (four sets)."
+FROM_CAMERA = (
+    "The visual rays are those of the calibrated camera, its lens and its place (two sets): an error of its calibration turns "
+    "all normals alike."
 )
 
 
@@ -59,10 +71,17 @@ def thin_object(
     status = combined_status(list(by_name.values()))
     if inside_mask is not None:
         status[~inside_mask.ravel() & (status != PixelStatus.UNLIT)] = PixelStatus.MASKED_OUT
-    status[_beside(by_name, status, manifest, shape=shape)] = PixelStatus.BESIDE_OBJECT
+    sight = _sight(manifest) if manifest.visual_rays_from_camera else None
+    if sight is None:
+        status[_beside(by_name, status, manifest, shape=shape)] = PixelStatus.BESIDE_OBJECT
+    else:
+        status[_unbent(by_name, status, manifest, sight[0], method=method, shape=shape)] = PixelStatus.BESIDE_OBJECT
     pixels = np.flatnonzero(status == PixelStatus.OK)
-    visual = _paths(by_name, manifest, "without", pixels, method=method)
     contact = _paths(by_name, manifest, "with", pixels, method=method)
+    if sight is None:
+        visual = _paths(by_name, manifest, "without", pixels, method=method)
+    else:
+        visual = camera_rays(sight[0], sight[1].reshape(-1, 3)[pixels], _poses(manifest, "with"))
     points = entry_points(visual, contact, weighted=method == "full")
     media = {"n_liquid": n_object, "n_air": manifest.n_air}
     normal = normals_from_paths(visual.direction, contact.direction, **media)
@@ -95,7 +114,23 @@ def thin_object(
         status=status.reshape(shape),
     )
     mesh = mesh_from_point_map(fused.point_mm, normals, covered) if covered.any() else None
-    return ThinSurface(maps, mesh, (ONE_REFRACTION,))
+    return ThinSurface(maps, mesh, (PHOTOGRAPHED if sight is None else FROM_CAMERA, ONE_REFRACTION))
+
+
+def _sight(manifest: Manifest) -> tuple[np.ndarray, np.ndarray]:
+    """Return the camera's centre and rays, or say what is missing."""
+    sight = sight_rays(manifest.camera)
+    if sight is None:
+        raise SessionError(
+            "method thin with the two sets 'with' alone takes its visual rays from the camera, whose pose or lens is not known; "
+            "give camera.pose and camera.intrinsics in the manifest, or a calibration with --calibration"
+        )
+    return sight
+
+
+def _poses(manifest: Manifest, condition: str) -> tuple[Pose, Pose]:
+    first, second = (manifest.set_named(f"pos{position}_{condition}") for position in (0, 1))
+    return manifest.pose_of(first), manifest.pose_of(second)
 
 
 def _paths(
@@ -113,10 +148,28 @@ def _paths(
     return light_paths(
         (found[0].screen_mm[pixels], found[1].screen_mm[pixels]),
         (sd[0], sd[1]),
-        (manifest.pose_of(sets[0]), manifest.pose_of(sets[1])),
+        _poses(manifest, condition),
         cover_glass=manifest.display.cover_glass,
         n_medium=manifest.n_air,
     )
+
+
+def _unbent(
+    by_name: Mapping[str, Correspondences],
+    status: np.ndarray,
+    manifest: Manifest,
+    camera_mm: np.ndarray,
+    *,
+    method: Method,
+    shape: tuple[int, int],
+) -> np.ndarray:
+    """Return the pixels whose light runs straight to the camera, in regions that reach the photo's border."""
+    pixels = np.flatnonzero(status == PixelStatus.OK)
+    contact = _paths(by_name, manifest, "with", pixels, method=method)
+    sd_rad = np.sqrt(np.trace(contact.direction_covariance(), axis1=1, axis2=2))
+    straight = np.zeros(status.size, dtype=bool)
+    straight[pixels] = straight_paths(contact, camera_mm, sd_rad, pixels=pixels, shape=shape)
+    return _reaching_the_border(straight.reshape(shape))
 
 
 def _beside(
@@ -139,6 +192,10 @@ def _beside(
         total = cv2.boxFilter(total, cv2.CV_64F, window, normalize=False, borderType=cv2.BORDER_CONSTANT)
         mean = total.reshape(-1, 3)
         unmoved &= np.linalg.norm(mean[:, :2], axis=1) <= UNMOVED_PX * mean[:, 2]
-    regions, _ = label(unmoved.reshape(shape))
+    return _reaching_the_border(unmoved.reshape(shape))
+
+
+def _reaching_the_border(region: np.ndarray) -> np.ndarray:
+    regions, _ = label(region)
     border = np.unique(np.concatenate([regions[0], regions[-1], regions[:, 0], regions[:, -1]]))
     return np.isin(regions, border[border > 0]).ravel()

@@ -20,7 +20,7 @@ SIMULATED_DEVICE = DeviceRecord(kind="simulated", model="simulated rig")
 def manifest_of(config: RigConfig, *, devices: dict[str, DeviceRecord], scene: Scene | None) -> Manifest:
     """Return the manifest of a capture; ``scene`` is what the simulated devices pretend, None in a lab."""
     sweeps = (Sweep(axis="x", pattern=config.pattern("x")), Sweep(axis="y", pattern=config.pattern("y")))
-    first, second, third, fourth = (
+    sets = tuple(
         CaptureSet(position=position, condition=condition, sweeps=sweeps) for position, condition in set_order(config)
     )
     board = config.capture.board
@@ -39,7 +39,7 @@ def manifest_of(config: RigConfig, *, devices: dict[str, DeviceRecord], scene: S
         display=config.display,
         display_poses=config.display_poses,
         camera=config.camera,
-        sets=(first, second, third, fourth),
+        sets=sets,
         board=board_places(config.display, squares_along=board.squares_along) if board else None,
         provenance=Provenance(
             software={"refractive-scan": version("refractive-scan")},

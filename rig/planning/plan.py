@@ -48,8 +48,12 @@ ORDERS: dict[tuple[str, str], tuple[SetPlace, ...]] = {
 
 
 def set_order(config: RigConfig) -> tuple[SetPlace, ...]:
-    """Return the four sets in the order in which they are photographed."""
-    return ORDERS[config.method, config.capture.order]
+    """Return the sets in the order in which they are photographed: four, or two where the camera gives a thin object's rays."""
+    order = ORDERS[config.method, config.capture.order]
+    rays = config.capture.visual_rays
+    if rays is None or rays.source == "photographed":
+        return order
+    return tuple(place for place in order if place[1] == "with")
 
 
 def set_name(place: SetPlace) -> str:

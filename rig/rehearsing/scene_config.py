@@ -66,6 +66,7 @@ class SceneOptions:
     auto_exposure: bool = False
     code: Literal["gray_line", "phase_shift"] | None = None
     board: bool = False
+    visual_rays: Literal["photographed", "camera"] | None = None
 
 
 def open_scene(name_or_path: str, options: SceneOptions) -> Scene:
@@ -118,6 +119,7 @@ def config_of_scene(scene: Scene, options: SceneOptions) -> RigConfig:
                 "scan": {} if options.scan else None,
                 "auto_exposure": {"setting": "shutter"} if options.auto_exposure else None,
                 "board": {} if options.board else None,
+                "visual_rays": {"source": options.visual_rays} if options.visual_rays else None,
             },
             "live": _live(scene) if options.live else None,
             "watch": watch_of_scene(scene) if options.watch else None,
