@@ -172,7 +172,8 @@ def strip_panel(rows: Sequence[GroupRow], measure: Measure) -> Panel:
     data: dict[str, object] = {}
     if known:
         low, high = min(value for _, value in known), max(value for _, value in known)
-        room = 0.04 * (high - low) or max(abs(high) * 0.1, 1e-9)
+        # Where all are equal the axis has one place, whatever its width.
+        room = 0.04 * (high - low) or abs(high) * 0.1 or 1.0
         scale = Scale(low - room, high + room, EDGE, WIDTH - EDGE)
         # Sorted and dealt out to lanes, so that neighbours do not cover each other.
         ranked = sorted(known, key=lambda item: item[1])
@@ -193,7 +194,7 @@ def strip_panel(rows: Sequence[GroupRow], measure: Measure) -> Panel:
             "dots": dots,
             "size": (WIDTH, HEIGHT),
             "middle": scale.place(middle),
-            "ticks": scale.ticks(6),
+            "ticks": scale.ticks(6) if high > low else [(scale.place(high), written(high, ""))],
             "label": f"{measure.title}: {len(known)} sessions from {written(low, measure.unit)} to "
             f"{written(high, measure.unit)}, median {written(middle, measure.unit)}",
         }

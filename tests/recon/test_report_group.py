@@ -11,7 +11,7 @@ from test_report import HOSTILE, Page
 from recon.errors import ReconError
 from recon.metrics import Funnel, Metrics
 from recon.report import group
-from recon.report.group import GroupRow, outliers, write_group_report
+from recon.report.group import GroupRow, Measure, outliers, strip_panel, write_group_report
 
 
 def metrics_with(normals: int, grade: str = "pass") -> Metrics:
@@ -73,3 +73,10 @@ def test_loads_without_a_word_in_the_console(rows: tuple[GroupRow, ...], tmp_pat
 def test_names_the_file_when_it_cannot_be_written(tmp_path: Path) -> None:
     with pytest.raises(ReconError, match=r"absent/batch\.html: the batch's page cannot be written"):
         write_group_report(tmp_path / "absent" / "batch.html", [])
+
+
+def test_a_number_that_is_the_same_everywhere_stands_alone_on_its_axis() -> None:
+    rows = [GroupRow(f"ball {k}", metrics_with(5)) for k in range(6)]
+    zero = strip_panel(rows, Measure("saturated", "Saturated share", (0.0,) * 6, "%"))
+    assert [label for _, label in zero.data["ticks"]] == ["0"]
+    assert {dot["x"] for dot in zero.data["dots"]} == {zero.data["ticks"][0][0]}
