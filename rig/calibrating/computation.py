@@ -91,12 +91,12 @@ def compute_calibration(folder: Path, say: Say) -> Calibration:
         provenance=_provenance(begun, (*camera.photos, *dry.photos, *wet.photos)),
         valid_days=config.calibrate.valid_days,
     )
-    for warning in made.warnings:
-        say(f"! {warning}")
     say(quality_text(made, config))
     write_calibration(folder / CALIBRATION_NAME, made)
     write_calibration_page(folder / CALIBRATION_PAGE_NAME, made)
     verdict = calibration_verdict(made)
+    for reason in verdict.reasons:
+        say(f"! {reason}")
     say(f"{verdict.grade.upper()}: {verdict.next_action}")
     say(f"{folder / CALIBRATION_PAGE_NAME}: the report")
     return made

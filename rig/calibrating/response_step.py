@@ -31,5 +31,7 @@ def measure_response(
     write_response(folder / RESPONSE_NAME, found)
     write_response_page(folder / RESPONSE_PAGE_NAME, found)
     verdict = response_verdict(found)
+    for reason in verdict.reasons:
+        say(f"! {reason}")
     say(f"{verdict.grade.upper()}: {verdict.next_action}")
     say(f"{folder / RESPONSE_PAGE_NAME}: the report; {len(found.photos)} photos are kept beside it")
