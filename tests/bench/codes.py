@@ -158,6 +158,7 @@ def measure_points(options: dict[str, object], *, columns: int, display_columns:
         "median_mm": rounded(np.median(error_mm)),
         "rms_mm": rounded(np.sqrt(np.mean(error_mm**2))),
         "p95_mm": rounded(np.quantile(error_mm, 0.95)),
+        "share_beyond_tenth_mm": rounded(np.mean(error_mm > 0.1)),
         "normal_median_deg": rounded(np.degrees(np.median(np.arccos(cosine)))),
     }
 

@@ -2,7 +2,9 @@
 
 import itertools
 from collections.abc import Iterator
+from pathlib import Path
 
+import cv2
 import numpy as np
 import pytest
 from hypothesis import given
@@ -10,10 +12,16 @@ from hypothesis import strategies as st
 from pydantic import ValidationError
 from scipy.special import erf
 
+from recon.errors import SessionError
 from recon.metrics import PhotoQuality
 from recon.patterns.gray_line import gray_line_levels
 from recon.patterns.sweep_frames import stripe_frame
+from recon.patterns.swept_range import narrowed
+from recon.sessions.importer import import_folder, read_layout
+from recon.sessions.journal import SweepRange
 from recon.sessions.pattern import GrayLinePattern
+from recon.sessions.session import open_session
+from recon.sessions.wholeness import faults
 from recon.status import PixelStatus
 from recon.sweeps.correspondence import place_by_likelihood
 from recon.sweeps.gray_line import line_samples, line_windows, read_bars
@@ -168,3 +176,60 @@ def test_a_pixel_that_sees_nothing_has_no_peak() -> None:
     windows, doubtful = line_windows(dark, bars, one, black=dark[:, 0], dark_variance=0.2)
     assert (windows.peak_index == NO_PEAK).all()
     assert not doubtful.any()
+
+
+LAYOUT = """
+name = "elsewhere"
+[object]
+name = "glass"
+[liquid]
+n = 1.33
+[display]
+columns = 32
+rows = 32
+pitch_mm = 0.1
+[[display_poses]]
+centre_mm = [0, 0, 10]
+x_axis = [1, 0, 0]
+y_axis = [0, 1, 0]
+[[display_poses]]
+centre_mm = [0, 0, 20]
+x_axis = [1, 0, 0]
+y_axis = [0, 1, 0]
+[camera]
+columns = 4
+rows = 3
+[pattern]
+kind = "gray_line"
+profile = "hard"
+width_px = 4
+first_px = 0
+step_px = 1
+period_px = 16
+places = 32
+[photos]
+stripe = "{set}/{axis}/{number:02d}.png"
+"""
+
+
+def test_a_folder_of_lines_and_bars_is_imported_with_every_photo_it_should_have(tmp_path: Path) -> None:
+    (tmp_path / "layout.toml").write_text(LAYOUT)
+    layout = read_layout(tmp_path / "layout.toml")
+    for one in layout.manifest.sets:
+        for axis in ("x", "y"):
+            (tmp_path / "photos" / one.name / axis).mkdir(parents=True)
+            for number in range(16 + 2 * 2):  # 32 places are four half periods of 8: two bits
+                counts = np.full((3, 4), number, np.uint8)
+                cv2.imwrite(str(tmp_path / "photos" / one.name / axis / f"{number:02d}.png"), counts)
+    assert import_folder(tmp_path / "photos", tmp_path / "session", layout) == 8 * 20
+    session = open_session(tmp_path / "session")
+    assert not [fault for fault in faults(session) if not fault.is_warning]
+    assert isinstance(session.manifest.sets[0].sweeps[0].pattern, GrayLinePattern)
+
+
+def test_a_range_cannot_narrow_a_code(tmp_path: Path) -> None:
+    (tmp_path / "layout.toml").write_text(LAYOUT)
+    manifest = read_layout(tmp_path / "layout.toml").manifest
+    found = SweepRange(set="pos0_air", axis="x", first_index=0, last_index=9)
+    with pytest.raises(SessionError, match="pos0_air/x narrows a sweep of kind 'gray_line', which is always whole"):
+        narrowed(manifest, {("pos0_air", "x"): found}, source="journal.jsonl")
