@@ -17,6 +17,7 @@ import numpy as np
 from rich.console import Console
 from scipy.special import erf
 
+from drivers.protocols import Frame
 from recon.patterns.pattern_frames import pattern_frame
 from recon.patterns.phase_shift import periods_for
 from recon.run import decode_session
@@ -25,15 +26,20 @@ from recon.running.settings import Settings
 from recon.sessions.disk import Disk
 from recon.sessions.manifest import Manifest
 from recon.sessions.pattern import GrayLinePattern, Pattern, PhaseShiftPattern, StripePattern
+from recon.sessions.photos import decode_grey
 from recon.sessions.session import TRUTH_NAME, SessionWriter, open_session
 from recon.status import PixelStatus
 from recon.sweeps.decode_pattern import decode_pattern
+from recon.sweeps.phase_shift import PhaseTracker, unwrapped
 from rig.rehearsing.scene_config import SceneOptions, config_of_scene, open_scene
 from rig.rehearsing.simulate import simulate_session
+from sim_backend.photography import Photographer
+from sim_backend.sensor import jpeg_bytes
 
 DEVICE_PX, ROWS, COLS = 1024, 30, 40
 BLACK, WHITE = 10.0, 210.0
 NOISE = (WHITE - BLACK) / 50
+LEAST_AMPLITUDE = 20.0
 FOOTPRINTS_PX = (0.2, 0.6, 1.5, 3.0)
 PATTERNS: dict[str, Pattern] = {
     "sweep, one pixel wide": StripePattern(profile="hard", width_px=1.0, first_px=0.0, step_px=1.0, count=DEVICE_PX),
@@ -163,6 +169,31 @@ def measure_points(options: dict[str, object], *, columns: int, display_columns:
     }
 
 
+def measure_compression(*, columns: int, display_columns: int) -> dict[str, float]:
+    """Compare fringes of the hemisphere rounded to whole counts with the same in JPEG: median error of the places."""
+    wanted = SceneOptions(camera_columns=columns, display_columns=display_columns, code="phase_shift")
+    scene = open_scene("hemisphere", wanted)
+    photographer, pattern = Photographer(scene), config_of_scene(scene, wanted).pattern("x")
+    assert isinstance(pattern, PhaseShiftPattern)
+    view = {"stage_position_mm": scene.stage_positions_mm[0], "wet": False}
+    true_px = photographer.pixel_coordinates(**view)[..., 0].ravel()
+    trackers = {"whole counts": PhaseTracker(true_px.size, pattern), "JPEG": PhaseTracker(true_px.size, pattern)}
+    for index in range(pattern.count):
+        levels = pattern_frame(pattern, "x", index, device_px=scene.display.columns).levels
+        counts = np.rint(photographer.expected(Frame(axis="x", levels=levels), **view)).astype(np.uint8)
+        packed = decode_grey(jpeg_bytes(counts, quality=scene.camera.jpeg_quality), Path("fringes.jpg"))
+        trackers["whole counts"].feed(counts.ravel().astype(np.float64))
+        trackers["JPEG"].feed(packed.ravel().astype(np.float64))
+    found = {}
+    for name, tracker in trackers.items():
+        phases = tracker.finish()
+        places = unwrapped(phases.turns, np.full(phases.turns.shape, 1e-3), pattern)
+        error_px = np.abs(places.place_px - true_px)
+        lit = np.isfinite(error_px) & (phases.amplitude[-1] > LEAST_AMPLITUDE)
+        found[f"median_px, {name}"] = rounded(np.median(error_px[lit]))
+    return found
+
+
 def rounded(value: float) -> float:
     """Return a number with three digits."""
     return float(f"{float(value):.3g}")
@@ -186,6 +217,9 @@ def main() -> None:
             name: measure_points(options, columns=asked.columns, display_columns=asked.display_columns)
             for name, options in CAPTURES.items()
         }
+        found["fringes and compression"] = measure_compression(
+            columns=asked.columns, display_columns=asked.display_columns
+        )
     print(json.dumps(found, indent=2, ensure_ascii=False))
 
 
