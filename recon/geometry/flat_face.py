@@ -8,6 +8,9 @@ inside, and with it an exact normal on the display's side: Eq. 3 with the inner 
 import numpy as np
 from jaxtyping import Float64
 
+from recon.geometry.light_paths import LightPaths
+from recon.sessions.manifest import FlatFace
+
 Vectors = Float64[np.ndarray, "rays 3"]
 Vector = Float64[np.ndarray, " 3"]
 
@@ -43,3 +46,24 @@ def points_on_face(
     away = (face_point_mm - point_mm) @ face_normal
     distance = np.divide(away, towards, out=np.full(len(away), np.nan), where=towards != 0)
     return point_mm + distance[:, None] * visual_direction
+
+
+def paths_inside(visual: LightPaths, face: FlatFace, *, n_object: float, n_air: float) -> LightPaths:
+    """Return the paths inside the object of light that leaves its flat face along the visual rays.
+
+    Each is the straight line through the visual ray's point on the face, in the inner direction; distances along it count as on
+    the visual ray. Its uncertainty is taken over from the visual ray, though refraction makes that of its direction smaller.
+    """
+    normal, point_mm = np.array(face.normal), np.array(face.point_mm)
+    on_face = points_on_face(visual.near_mm, visual.direction, face_point_mm=point_mm, face_normal=normal)
+    inside = inner_directions(visual.direction, face_normal=normal, n_object=n_object, n_air=n_air)
+    reach = ((on_face - visual.near_mm) * visual.direction).sum(axis=1, keepdims=True)
+    near = on_face - reach * inside
+    return LightPaths(
+        near_mm=near,
+        far_mm=near - visual.baseline_mm[:, None] * inside,
+        direction=inside,
+        baseline_mm=visual.baseline_mm,
+        near_covariance=visual.near_covariance,
+        far_covariance=visual.far_covariance,
+    )

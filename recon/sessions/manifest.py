@@ -62,11 +62,25 @@ class Pose(Part):
         return world_from_screen
 
 
+class FlatFace(Part):
+    """A flat face of the object towards the camera: a point on it and its normal, in the world; which way it points is free."""
+
+    point_mm: Vector
+    normal: Vector
+
+    @model_validator(mode="after")
+    def _normal_has_a_direction(self) -> "FlatFace":
+        if not any(self.normal):
+            raise ValueError("normal must not be nought")
+        return self
+
+
 class ScannedObject(Part):
-    """The transparent object. Its index is needed only for the thin-object method."""
+    """The transparent object. Index and flat face are needed only for the thin-object method."""
 
     name: str
     n: Index | None = None
+    flat_face: FlatFace | None = None
     note: str = ""
 
 

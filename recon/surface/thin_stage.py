@@ -5,6 +5,9 @@ visual ray by itself, and the two sets without the object are not needed (footno
 visual ray runs on inside the object (index n) up to the surface that faces the display, so the normal there is
 n·U − n_air·V (Eq. 3 with U the visual ray and V the PBC). The two rays are nearly parallel, so their crossing is a poor place and
 only anchors the surface, which is integrated from the normals.
+
+Where the side towards the camera is known to be flat (``object.flat_face``), the method ``full`` follows the refraction there
+too, and nothing is assumed.
 """
 
 from collections.abc import Mapping
@@ -18,6 +21,7 @@ from recon.errors import SessionError
 from recon.geometry.beside import straight_paths
 from recon.geometry.camera_rays import camera_rays
 from recon.geometry.entry_point import entry_points
+from recon.geometry.flat_face import paths_inside
 from recon.geometry.light_paths import LightPaths, light_paths
 from recon.geometry.normals import normal_sd_rad, normals_from_paths
 from recon.geometry.sight import sight_rays
@@ -38,6 +42,8 @@ ONE_REFRACTION = (
     "One refraction is assumed: the error of the normals grows with the object's thickness, and a plane-parallel plate "
     "cannot be told from nothing."
 )
+
+FLAT_FACE = "The flat face towards the camera is known, so that both refractions are followed exactly."
 
 
 PHOTOGRAPHED = "The visual rays were measured: the display was photographed without the object as well (four sets)."
@@ -82,6 +88,9 @@ def thin_object(
         visual = _paths(by_name, manifest, "without", pixels, method=method)
     else:
         visual = camera_rays(sight[0], sight[1].reshape(-1, 3)[pixels], _poses(manifest, "with"))
+    face = manifest.object.flat_face if method == "full" else None
+    if face is not None:
+        visual = paths_inside(visual, face, n_object=n_object, n_air=manifest.n_air)
     points = entry_points(visual, contact, weighted=method == "full")
     media = {"n_liquid": n_object, "n_air": manifest.n_air}
     normal = normals_from_paths(visual.direction, contact.direction, **media)
@@ -114,7 +123,7 @@ def thin_object(
         status=status.reshape(shape),
     )
     mesh = mesh_from_point_map(fused.point_mm, normals, covered) if covered.any() else None
-    return ThinSurface(maps, mesh, (PHOTOGRAPHED if sight is None else FROM_CAMERA, ONE_REFRACTION))
+    return ThinSurface(maps, mesh, (PHOTOGRAPHED if sight is None else FROM_CAMERA, ONE_REFRACTION if face is None else FLAT_FACE))
 
 
 def _sight(manifest: Manifest) -> tuple[np.ndarray, np.ndarray]:
