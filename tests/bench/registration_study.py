@@ -102,7 +102,7 @@ def main() -> None:
         rows += rows_of(scene, name, mishap, radius_mm=RADIUS_MM)
         print(name, file=sys.stderr, flush=True)
     bottle = twin(chosen.size, chosen.display_columns, "bottle")
-    rows += rows_of(bottle, "bottle, some light enters twice", NOTHING_WRONG, radius_mm=None)
+    rows += rows_of(bottle, "bottle, nothing wrong", NOTHING_WRONG, radius_mm=None)
     columns = [key for key in rows[0] if key not in ("says", "applied", "index", "index_sd")]
     table = Table(*columns)
     for row in rows:
