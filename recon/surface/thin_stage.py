@@ -123,7 +123,9 @@ def thin_object(
         status=status.reshape(shape),
     )
     mesh = mesh_from_point_map(fused.point_mm, normals, covered) if covered.any() else None
-    return ThinSurface(maps, mesh, (PHOTOGRAPHED if sight is None else FROM_CAMERA, ONE_REFRACTION if face is None else FLAT_FACE))
+    return ThinSurface(
+        maps, mesh, (PHOTOGRAPHED if sight is None else FROM_CAMERA, ONE_REFRACTION if face is None else FLAT_FACE)
+    )
 
 
 def _sight(manifest: Manifest) -> tuple[np.ndarray, np.ndarray]:
