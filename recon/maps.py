@@ -2,6 +2,7 @@
 
 import zipfile
 from dataclasses import dataclass
+from enum import IntEnum
 from pathlib import Path
 
 import numpy as np
@@ -12,6 +13,16 @@ from recon.status import PixelStatus
 
 MAPS_NAME = "maps.npz"
 NAMES = ("point_mm", "normal", "sd_mm", "gap_mm", "pbc_angle_rad", "status")
+# Written only by methods that know them; older files lack them.
+OPTIONAL_NAMES = ("normal_sd_rad", "across_sd_mm", "support")
+
+
+class Support(IntEnum):
+    """What a pixel's point rests on."""
+
+    NONE = 0
+    OWN_CROSSING = 1
+    NEIGHBOURS_ONLY = 2
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -20,7 +31,8 @@ class Maps:
 
     ``sd_mm`` is the standard deviation of the point (root of the covariance's trace), ``gap_mm`` the distance by which the
     two light paths miss each other (signed), ``pbc_angle_rad`` the angle between them, ``status`` a
-    :class:`~recon.status.PixelStatus`.
+    :class:`~recon.status.PixelStatus`. Method ``full`` adds ``normal_sd_rad``, the root of the summed variances of the normal's
+    two tilts, ``across_sd_mm``, the standard deviation of the point across the surface, and ``support``, a :class:`Support`.
     """
 
     point_mm: Float64[np.ndarray, "rows cols 3"]
@@ -29,6 +41,9 @@ class Maps:
     gap_mm: Float32[np.ndarray, "rows cols"]
     pbc_angle_rad: Float32[np.ndarray, "rows cols"]
     status: UInt8[np.ndarray, "rows cols"]
+    normal_sd_rad: Float32[np.ndarray, "rows cols"] | None = None
+    across_sd_mm: Float32[np.ndarray, "rows cols"] | None = None
+    support: UInt8[np.ndarray, "rows cols"] | None = None
 
     def valid(self) -> Bool[np.ndarray, "rows cols"]:
         """Return the pixels that have a point."""
@@ -37,14 +52,16 @@ class Maps:
 
 def save_maps(maps: Maps, path: Path) -> None:
     """Write ``maps.npz``."""
-    np.savez_compressed(path, **{name: getattr(maps, name) for name in NAMES})
+    known = {name: getattr(maps, name) for name in (*NAMES, *OPTIONAL_NAMES)}
+    np.savez_compressed(path, **{name: value for name, value in known.items() if value is not None})
 
 
 def load_maps(path: Path) -> Maps:
     """Read ``maps.npz``; raises ``ReconError`` with one sentence where it cannot be used."""
     try:
         with np.load(path) as arrays:
-            return Maps(**{name: arrays[name] for name in NAMES})
+            optional = {name: arrays[name] for name in OPTIONAL_NAMES if name in arrays}
+            return Maps(**{name: arrays[name] for name in NAMES}, **optional)
     except FileNotFoundError:
         raise ReconError(f"{path}: no such file; run `recon run` on the session first") from None
     except (OSError, ValueError, KeyError, zipfile.BadZipFile) as error:

@@ -7,9 +7,11 @@ the lateral noise of the correspondences, but a chord between the places where t
 still tangential, so that noise does not enter.
 """
 
+from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
+from jaxtyping import Float64
 from scipy.ndimage import correlate1d, distance_transform_edt, median_filter
 from scipy.sparse import csr_array
 
@@ -37,10 +39,15 @@ START_WINDOW_PX = 5
 # Each round solves for a correction, which need not be known more closely than this share of itself.
 CORRECTION_TOLERANCE = 1e-5
 # Standard deviations are estimated from this many draws over this window: good to a tenth.
-SD_DRAWS = 6
-SD_WINDOW_PX = 5
-SD_TOLERANCE = 1e-3
-SD_SEED = 20180601
+DRAWS = 6
+DRAW_WINDOW_PX = 5
+DRAW_TOLERANCE = 1e-3
+DRAW_SEED = 20180601
+
+# Draws one error of every pixel's distance [rows, cols] and normal [rows, cols, 3] from the noise of its measurement.
+NoiseDraw = Callable[[np.random.Generator], tuple[ScalarMap, VectorMap]]
+# Reads the measured distances and their standard deviations again, for a surface near the distances given.
+Remeasure = Callable[[ScalarMap], tuple[ScalarMap, ScalarMap]]
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -49,11 +56,13 @@ class FusedSurface:
 
     ``position_weight`` is 1 where the triangulated distance agrees with the surface and falls towards 0 for an outlier
     (0 where there was none). ``normal_scale`` and ``position_scale`` tell how many times larger the residuals are than
-    the standard deviations promised (never below 1).
+    the standard deviations promised (never below 1). ``distance_error_mm`` holds draws of the error of ``distance_mm``: what
+    independent draws of all measurements' noise do to it. Their mean square is the variance.
     """
 
     distance_mm: ScalarMap
     distance_sd_mm: ScalarMap
+    distance_error_mm: Float64[np.ndarray, "draws rows cols"]
     point_mm: VectorMap
     position_weight: ScalarMap
     normal_scale: float
@@ -77,6 +86,8 @@ def fuse_on_rays(
     normal_sd_rad: ScalarMap,
     mask: Mask,
     *,
+    remeasure: Remeasure | None = None,
+    noise: NoiseDraw | None = None,
     rounds: int = ROUNDS,
 ) -> FusedSurface:
     """Find the surface that best explains triangulated distances and normals at once.
@@ -92,6 +103,11 @@ def fuse_on_rays(
         Unit normals and the standard deviation of their direction (root of the summed variances of the two tilts).
     mask
         The pixels of the surface; those without a ray or a normal are left out.
+    remeasure
+        Reads distances and standard deviations anew near each round's surface; without it they stay as they are.
+    noise
+        Draws the errors of distances and normals together, where they come from the same correspondences; without it,
+        they are independent, and the two tilts of a normal alike.
     rounds
         How often the equations are weighted anew (iteratively reweighted least squares).
 
@@ -110,15 +126,24 @@ def fuse_on_rays(
     positions = _position_weights(rays, distance)
     for _ in range(rounds if graph.pixels else 0):
         distance = _solve(graph, rays, chords, _system(graph, rays, chords, pairs, positions), distance)
+        if remeasure is not None:
+            told_mm, told_sd_mm = remeasure(graph.on_grid(distance))
+            told_mm = np.where(measured_pixels(distance_mm, distance_sd_mm), told_mm, np.nan)
+            rays = rays_of(origin_mm, direction, told_mm, told_sd_mm, normal, normal_sd_rad, used)
         chords = chords_of(rays, graph, distance)
         pairs = _reweighted(chords.residual(graph, distance) / np.sqrt(chords.variance))
         positions = _position_weights(rays, distance)
-    last = _system(graph, rays, chords, pairs, positions)
+    errors = np.full((DRAWS, *used.shape), np.nan)
+    if graph.pixels:
+        last = _system(graph, rays, chords, pairs, positions)
+        scales = (positions.scale, pairs.scale)
+        errors[:, used] = _errors(graph, rays, chords, last, noise or _independent(rays, graph), scales=scales)
     point = np.full(origin_mm.shape, np.nan)
     point[used] = rays.origin + distance[:, None] * rays.direction
     return FusedSurface(
         distance_mm=graph.on_grid(distance),
-        distance_sd_mm=graph.on_grid(_standard_deviation(graph, chords, last) if graph.pixels else distance),
+        distance_sd_mm=standard_deviation(errors, used),
+        distance_error_mm=errors,
         point_mm=point,
         position_weight=graph.on_grid(positions.weight),
         normal_scale=pairs.scale,
@@ -182,27 +207,56 @@ def _solve(graph: Neighbours, rays: Rays, chords: Chords, system: _System, guess
     return guess + solver(system.matrix, relative_tolerance=CORRECTION_TOLERANCE)(right, np.zeros_like(guess))
 
 
-def _standard_deviation(graph: Neighbours, chords: Chords, system: _System) -> PerPixel:
-    """Return the sd of each distance: the spread of solutions drawn from the equations' own noise.
+def _errors(
+    graph: Neighbours,
+    rays: Rays,
+    chords: Chords,
+    system: _System,
+    noise: NoiseDraw,
+    *,
+    scales: tuple[float, float],
+) -> Float64[np.ndarray, "draws pixels"]:
+    """Return what draws of the measurements' noise do to the distances, through the very equations that were solved.
 
-    A right side Jᵀ W^½ z with standard normal z has the covariance of the normal equations, so its solutions have the
-    covariance of the answer. The few draws are averaged over a small window, on which an uncertainty is smooth.
+    The equations need not be weighted by the true covariance of their noise for this to be the true spread of their answer: a
+    normal serves two pairs on its line, and the distance comes from the same correspondences as the normal.
     """
-    rng = np.random.default_rng(SD_SEED)
-    solve = solver(system.matrix, relative_tolerance=SD_TOLERANCE)
-    square = np.zeros(graph.pixels)
-    for _ in range(SD_DRAWS):
-        per_chord = np.sqrt(system.chord_weight) * rng.standard_normal(len(system.chord_weight))
-        per_pixel = np.sqrt(system.own_weight) * rng.standard_normal(graph.pixels)
-        square += solve(_gather(graph, chords, per_chord, per_pixel), np.zeros(graph.pixels)) ** 2
-    total = _window_sum(np.where(graph.mask, np.nan_to_num(graph.on_grid(square)), 0.0))
-    count = _window_sum(graph.mask.astype(np.float64))
-    return np.sqrt(total[graph.mask] / count[graph.mask] / SD_DRAWS)
+    rng = np.random.default_rng(DRAW_SEED)
+    solve = solver(system.matrix, relative_tolerance=DRAW_TOLERANCE)
+    errors = np.empty((DRAWS, graph.pixels))
+    for draw in errors:
+        distance_error, normal_error = noise(rng)
+        tilt = scales[1] * normal_error[graph.mask]
+        per_chord = 0.5 * ((tilt[graph.first] + tilt[graph.second]) * chords.chord_mm).sum(axis=1)
+        shift = np.where(rays.precision > 0, scales[0] * distance_error[graph.mask], 0.0)
+        right = _gather(graph, chords, -system.chord_weight * per_chord, system.own_weight * shift)
+        draw[:] = solve(right, np.zeros(graph.pixels))
+    return errors
+
+
+def _independent(rays: Rays, graph: Neighbours) -> NoiseDraw:
+    """Return draws of distances and normals that know nothing of each other, from the standard deviations alone."""
+
+    def draw(rng: np.random.Generator) -> tuple[ScalarMap, VectorMap]:
+        tilt = np.sqrt(rays.tilt_variance)[:, None] * rng.standard_normal(rays.normal.shape)
+        normal_error = np.zeros((*graph.mask.shape, 3))
+        normal_error[graph.mask] = tilt - (tilt * rays.normal).sum(axis=1, keepdims=True) * rays.normal
+        sd = np.sqrt(np.divide(1.0, rays.precision, out=np.zeros(graph.pixels), where=rays.precision > 0))
+        return graph.on_grid(sd * rng.standard_normal(graph.pixels)), normal_error
+
+    return draw
+
+
+def standard_deviation(errors: Float64[np.ndarray, "draws rows cols"], mask: Mask) -> ScalarMap:
+    """Return the root mean square of the draws, averaged over a small window, on which an uncertainty is smooth."""
+    total = _window_sum(np.where(mask, np.nan_to_num((errors**2).sum(axis=0)), 0.0))
+    count = _window_sum(mask.astype(np.float64))
+    return np.where(mask, np.sqrt(total / np.maximum(count, 1.0) / len(errors)), np.nan)
 
 
 def _window_sum(values: ScalarMap) -> ScalarMap:
     """Sum over a small window, term by term: a running sum would leave large values' rounding on small ones."""
-    box = np.ones(SD_WINDOW_PX)
+    box = np.ones(DRAW_WINDOW_PX)
     return correlate1d(correlate1d(values, box, axis=0, mode="constant"), box, axis=1, mode="constant")
 
 

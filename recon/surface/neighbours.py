@@ -38,6 +38,20 @@ def neighbours_of(mask: Bool[np.ndarray, "rows cols"]) -> Neighbours:
     return Neighbours(mask, first, second)
 
 
+def pairs_beyond(neighbours: Neighbours) -> tuple[Int32[np.ndarray, " pairs"], Int32[np.ndarray, " pairs"]]:
+    """Return the pair before each pair and the one after it on its line of the grid, −1 where there is none."""
+    first, second = neighbours.first, neighbours.second
+    column = np.nonzero(neighbours.mask)[1]
+    along_row = column[first] != column[second]
+    before, after = np.full(len(first), -1, np.int32), np.full(len(first), -1, np.int32)
+    for line in (along_row, ~along_row):
+        pairs = np.flatnonzero(line).astype(np.int32)
+        starting, ending = (np.full(neighbours.pixels, -1, np.int32) for _ in range(2))
+        starting[first[pairs]], ending[second[pairs]] = pairs, pairs
+        before[pairs], after[pairs] = ending[first[pairs]], starting[second[pairs]]
+    return before, after
+
+
 def components(
     pixels: int, first: Int32[np.ndarray, " pairs"], second: Int32[np.ndarray, " pairs"]
 ) -> Int32[np.ndarray, " pixels"]:

@@ -3,16 +3,19 @@
 from dataclasses import dataclass, replace
 
 import numpy as np
-from jaxtyping import Float32, Float64
+from jaxtyping import Float64
 
 from recon.geometry.sight import sight_rays
-from recon.maps import Maps
+from recon.maps import Maps, Support
 from recon.reconstruct import Crossing
 from recon.sessions.manifest import CameraBody, Manifest
 from recon.status import PixelStatus
-from recon.surface.fusion import FusedSurface, fuse_on_rays
+from recon.surface.fusion import fuse_on_rays
 from recon.surface.integration import integrate_perspective
 from recon.surface.mesh import Mesh, mesh_from_point_map
+from recon.surface.path_crossing import PathCrossing
+from recon.surface.path_noise import PathNoise
+from recon.surface.refinement import refine_surface
 from recon.sweeps.correspondence import Method
 
 NO_CAMERA = (
@@ -35,7 +38,8 @@ def surface_of(maps: Maps, crossing: Crossing, manifest: Manifest, *, method: Me
     if not maps.valid().any():
         return Surface(maps, None, ("No point was found, so there is no mesh.",))
     if method == "full":
-        return fused_surface(maps, crossing)
+        assert manifest.liquid is not None, "the manifest's own check grants a liquid to this method"
+        return fused_surface(maps, crossing, n_liquid=manifest.liquid.n, n_air=manifest.n_air)
     return integrated_surface(maps, manifest.camera)
 
 
@@ -51,11 +55,12 @@ def integrated_surface(maps: Maps, camera: CameraBody) -> Surface:
     return Surface(maps, mesh_from_point_map(surface.point_mm, maps.normal, valid))
 
 
-def fused_surface(maps: Maps, crossing: Crossing) -> Surface:
-    """Fuse positions and normals on the paths in liquid; pixels with parallel paths get their point from their neighbours.
+def fused_surface(maps: Maps, crossing: Crossing, *, n_liquid: float, n_air: float) -> Surface:
+    """Fuse positions and normals on the paths in liquid, then refine points and normals where their neighbours allow it.
 
-    A pixel's path is the mean over its footprint. Liquid bends light less than air at the same surface, so its mean path
-    runs closer to the path of the pixel's centre, above all near total reflection.
+    Pixels with parallel paths get their point from their neighbours. A pixel's path is the mean over its footprint. Liquid
+    bends light less than air at the same surface, so its mean path runs closer to the path of the pixel's centre, above all near
+    total reflection.
     """
     shape = maps.status.shape
     surface_pixel = np.isin(crossing.status, (PixelStatus.OK, PixelStatus.PARALLEL_PATHS))
@@ -68,40 +73,53 @@ def fused_surface(maps: Maps, crossing: Crossing) -> Surface:
         grid[crossing.pixels[where]] = values[where]
         return grid.reshape(*shape, *values.shape[1:])
 
+    paths = PathNoise(liquid, crossing.air, points, crossing.normal, n_liquid, n_air)
+
+    reading = PathCrossing.of(
+        liquid, crossing.air, points, pixels=crossing.pixels, used=surface_pixel, shape=(shape[0], shape[1])
+    )
+
+    def remeasure(distance_mm: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        told_mm, sd_mm = reading.measured_near(distance_mm.ravel()[crossing.pixels])
+        return on_grid(told_mm, has_point), on_grid(sd_mm, has_point)
+
+    def noise(rng: np.random.Generator) -> tuple[np.ndarray, np.ndarray]:
+        distance_error, normal_error = paths.draw(rng)
+        return on_grid(distance_error * reading.ratio(), has_point), on_grid(normal_error, surface_pixel)
+
+    direction = on_grid(liquid.direction, surface_pixel)
     normal = on_grid(crossing.normal, surface_pixel)
+    normal_sd_rad = on_grid(crossing.normal_sd_rad, surface_pixel)
     fused = fuse_on_rays(
         on_grid(liquid.near_mm, surface_pixel),
-        on_grid(liquid.direction, surface_pixel),
+        direction,
         on_grid(points.distance_liquid_mm, has_point),
         on_grid(along_sd, has_point),
         normal,
-        on_grid(crossing.normal_sd_rad, surface_pixel),
+        normal_sd_rad,
         np.isfinite(normal).all(axis=2),
+        remeasure=remeasure,
+        noise=noise,
     )
-    covered = np.isfinite(fused.point_mm).all(axis=2)
+    distance = np.nan_to_num(fused.distance_mm.ravel()[crossing.pixels])
+    refined = refine_surface(
+        fused, direction, normal, normal_sd_rad, on_grid(liquid.covariance_at(distance), surface_pixel)
+    )
+    covered = np.isfinite(refined.point_mm).all(axis=2)
     status = np.where(covered, np.uint8(PixelStatus.OK), maps.status)
     lost = (status == PixelStatus.OK) & ~covered
     status[lost] = PixelStatus.PARALLEL_PATHS
-    refined = replace(
-        maps,
-        point_mm=fused.point_mm,
-        normal=np.where(covered[..., None], normal, np.nan),
-        sd_mm=_sd(crossing, surface_pixel, fused, shape=maps.status.shape),
-        status=status,
+    support = np.where(np.isfinite(on_grid(along_sd, has_point)), Support.OWN_CROSSING, Support.NEIGHBOURS_ONLY)
+    return Surface(
+        replace(
+            maps,
+            point_mm=refined.point_mm,
+            normal=refined.normal,
+            sd_mm=refined.sd_mm.astype(np.float32),
+            status=status,
+            normal_sd_rad=refined.normal_sd_rad.astype(np.float32),
+            across_sd_mm=refined.across_sd_mm.astype(np.float32),
+            support=np.where(covered, support, Support.NONE).astype(np.uint8),
+        ),
+        mesh_from_point_map(refined.point_mm, refined.normal, covered),
     )
-    return Surface(refined, mesh_from_point_map(fused.point_mm, normal, covered))
-
-
-def _sd(
-    crossing: Crossing, surface_pixel: np.ndarray, fused: FusedSurface, *, shape: tuple[int, ...]
-) -> Float32[np.ndarray, "rows cols"]:
-    """Return each fused point's sd: along its ray from the surface, across it from the ray's own correspondences."""
-    pixels = crossing.pixels[surface_pixel]
-    distance = fused.distance_mm.ravel()
-    shift = crossing.liquid.covariance_at(np.nan_to_num(distance[crossing.pixels]))
-    direction = crossing.liquid.direction
-    along = np.einsum("pi,pij,pj->p", direction, shift, direction)
-    across = (np.trace(shift, axis1=1, axis2=2) - along)[surface_pixel]
-    variance = np.full(distance.size, np.nan)
-    variance[pixels] = across + fused.distance_sd_mm.ravel()[pixels] ** 2 + crossing.carried_mm2[surface_pixel]
-    return np.sqrt(variance).astype(np.float32).reshape(shape)
