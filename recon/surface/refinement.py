@@ -6,7 +6,6 @@ paths meet it, gives point and normal there. A window is used only where its res
 creases, steps and ripples stay.
 """
 
-from collections.abc import Iterator
 from dataclasses import dataclass
 
 import cv2
@@ -16,6 +15,7 @@ from scipy.stats import chi2
 
 from recon.surface.fusion import FusedSurface, standard_deviation
 from recon.surface.ray_chords import Mask, ScalarMap, VectorMap
+from recon.surface.tiles import inside, tiles
 from recon.surface.window_quadratic import WindowFit, fit_windows
 
 # Half-widths of the windows that are tried, each only where the one before it held.
@@ -29,7 +29,7 @@ INDEPENDENT_SHARE = 0.5
 SUREST = 20.0
 # The bias of a window is taken from this many pixels across.
 BIAS_WINDOW_PX = 9
-TILE_PX = 64
+WIDEST_HALF_WIDTH_PX = max(*LATERAL_HALF_WIDTHS_PX, *HEIGHT_HALF_WIDTHS_PX)
 # Normals farther than this from their tile's mean are too steep for a height above it.
 STEEPEST_COSINE = 0.35
 NEWTON_STEPS = 4
@@ -84,7 +84,7 @@ def refine_surface(
     if not used.any():
         return result
     lateral = _lateral_places(fused.point_mm, direction, normal, path_covariance, used)
-    for core, wide in _tiles(used):
+    for core, wide in tiles(used, border=WIDEST_HALF_WIDTH_PX):
         _refine_tile(result, fused, direction, normal, lateral, used, core, wide)
     return result
 
@@ -142,8 +142,8 @@ def _lateral_places(
         variance[axis][used] = np.maximum(own, np.median(own) / SUREST**2)
     weight = np.where(used & (variance > 0), 1 / np.where(variance > 0, variance, 1.0), 0.0)
     place, left = np.where(used, measured, np.nan), variance.copy()
-    for core, wide in _tiles(used):
-        inner = _inside(core, wide)
+    for core, wide in tiles(used, border=WIDEST_HALF_WIDTH_PX):
+        inner = inside(core, wide)
         rows, columns = _grid(wide)
         for axis in (0, 1):
             here, values = weight[axis][wide], measured[axis][wide]
@@ -180,7 +180,7 @@ def _refine_tile(
     frame = _axes(mean)
     cosine = np.nan_to_num(normal[wide]) @ mean
     fit_here = used[wide] & (cosine > STEEPEST_COSINE)
-    if not fit_here[_inside(core, wide)].any():
+    if not fit_here[inside(core, wide)].any():
         return
     middle = fused.point_mm[wide][fit_here].mean(axis=0)
     unit_mm = 4 * _spacing_mm(fused.point_mm[wide], fit_here)
@@ -345,7 +345,7 @@ def _take_over(
     place: _Place,
 ) -> None:
     """Write a patch where its window held and makes the normal surer."""
-    inner = _inside(core, wide)
+    inner = inside(core, wide)
     with np.errstate(invalid="ignore"):
         better = held[inner] & (patch.normal_sd[inner] < result.normal_sd_rad[core])
     point = place.middle_mm + place.unit_mm * patch.point[inner] @ place.frame
@@ -359,27 +359,6 @@ def _take_over(
         (result.half_width_px, np.full(better.shape, half_width, np.uint8)),
     ):
         target[core][better] = found[better]
-
-
-def _tiles(used: Mask) -> Iterator[tuple[tuple[slice, slice], tuple[slice, slice]]]:
-    """Yield tiles that hold any used pixel, and the same with a border as wide as the widest window."""
-    border = max(*LATERAL_HALF_WIDTHS_PX, *HEIGHT_HALF_WIDTHS_PX)
-    rows, columns = used.shape
-    for top in range(0, rows, TILE_PX):
-        for left in range(0, columns, TILE_PX):
-            core = (slice(top, min(top + TILE_PX, rows)), slice(left, min(left + TILE_PX, columns)))
-            if used[core].any():
-                yield core, (_widened(core[0], border, rows), _widened(core[1], border, columns))
-
-
-def _widened(part: slice, border: int, size: int) -> slice:
-    return slice(max(part.start - border, 0), min(part.stop + border, size))
-
-
-def _inside(core: tuple[slice, slice], wide: tuple[slice, slice]) -> tuple[slice, slice]:
-    """Return the core in the coordinates of the widened tile."""
-    first, second = (slice(c.start - w.start, c.stop - w.start) for c, w in zip(core, wide, strict=True))
-    return first, second
 
 
 def _grid(wide: tuple[slice, slice]) -> tuple[ScalarMap, ScalarMap]:

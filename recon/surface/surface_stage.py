@@ -38,8 +38,7 @@ def surface_of(maps: Maps, crossing: Crossing, manifest: Manifest, *, method: Me
     if not maps.valid().any():
         return Surface(maps, None, ("No point was found, so there is no mesh.",))
     if method == "full":
-        assert manifest.liquid is not None, "the manifest's own check grants a liquid to this method"
-        return fused_surface(maps, crossing, n_liquid=manifest.liquid.n, n_air=manifest.n_air)
+        return fused_surface(maps, crossing, n_liquid=manifest.n_liquid(), n_air=manifest.n_air)
     return integrated_surface(maps, manifest.camera)
 
 
@@ -109,15 +108,19 @@ def fused_surface(maps: Maps, crossing: Crossing, *, n_liquid: float, n_air: flo
     status = np.where(covered, np.uint8(PixelStatus.OK), maps.status)
     lost = (status == PixelStatus.OK) & ~covered
     status[lost] = PixelStatus.PARALLEL_PATHS
+    # What all pixels share does not go away by asking neighbours.
+    carried_mm2, carried_rad2 = (
+        on_grid(shared, surface_pixel) for shared in (crossing.carried_mm2, crossing.carried_rad2)
+    )
     support = np.where(np.isfinite(on_grid(along_sd, has_point)), Support.OWN_CROSSING, Support.NEIGHBOURS_ONLY)
     return Surface(
         replace(
             maps,
             point_mm=refined.point_mm,
             normal=refined.normal,
-            sd_mm=refined.sd_mm.astype(np.float32),
+            sd_mm=np.sqrt(refined.sd_mm**2 + carried_mm2).astype(np.float32),
             status=status,
-            normal_sd_rad=refined.normal_sd_rad.astype(np.float32),
+            normal_sd_rad=np.sqrt(refined.normal_sd_rad**2 + carried_rad2).astype(np.float32),
             across_sd_mm=refined.across_sd_mm.astype(np.float32),
             support=np.where(covered, support, Support.NONE).astype(np.uint8),
         ),
