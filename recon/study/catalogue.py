@@ -1,5 +1,6 @@
 """Every experiment, in the order of the paper."""
 
+from recon.study.correspondence_study import correspondence
 from recon.study.experiment import Experiment
 from recon.study.noise_studies import noise_by_baseline, noise_by_index
 from recon.study.photo_studies import bottle, concave, hemisphere, ornament, plates
@@ -7,6 +8,7 @@ from recon.study.thin_studies import cone_by_padding, shell_by_shift
 from recon.study.total_reflection import total_reflection
 
 EXPERIMENTS = (
+    Experiment("correspondence", "Correspondence against its bound", correspondence),
     Experiment("noise-baseline", "Noise against baseline", noise_by_baseline),
     Experiment("noise-liquid", "Noise against the liquid's index", noise_by_index),
     Experiment("concave", "A concave object", concave),

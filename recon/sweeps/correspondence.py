@@ -12,6 +12,7 @@ from recon.sessions.manifest import Axis, CaptureSet, StripePattern
 from recon.sessions.photos import read_grey, saturation_count
 from recon.sessions.session import Session
 from recon.status import PixelStatus
+from recon.sweeps.curve_reach import curve_half_width
 from recon.sweeps.likelihood import places_by_likelihood
 from recon.sweeps.noise import NoiseModel, dark_variance
 from recon.sweeps.sample_curves import sample_curves
@@ -53,9 +54,16 @@ def decode_sweep(
     black, dark = _black_level(session, capture_set, axis)
     rise = max(PEAK_SIGMA * np.sqrt(dark), LEAST_PEAK_COUNTS)
     floor = np.minimum(black + rise, np.iinfo(black.dtype).max).astype(black.dtype)
-    windows, photos = _stream(
-        session, capture_set, axis, floor=floor, half_width=window_half_width(pattern, method), on_photo=on_photo
-    )
+    half_width = window_half_width(pattern, method)
+    if method == "full":
+        half_width = curve_half_width(
+            lambda number: read_session_photo(session, capture_set.name, axis, number),
+            session.photo_numbers(capture_set, axis),
+            black=black,
+            floor=floor,
+            least=half_width,
+        )
+    windows, photos = _stream(session, capture_set, axis, floor=floor, half_width=half_width, on_photo=on_photo)
     clipped = saturation_count(black)
     if method == "paper":
         return place_by_parabola(windows, pattern, black=black, dark=dark, photos=photos)
@@ -71,7 +79,7 @@ def decode_sweep(
 
 
 def window_half_width(pattern: StripePattern, method: Method) -> int:
-    """Return how many photos before and after a pixel's brightest one its place is made from."""
+    """Return how many photos before and after a pixel's brightest one its place is made from, where images are sharp."""
     if method == "paper":
         return 1
     return int(np.ceil(pattern.width_px / pattern.step_px / 2)) + NEIGHBOURS_BEYOND_PROFILE
