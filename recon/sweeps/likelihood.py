@@ -34,6 +34,7 @@ BLUR_PIXELS = 2000
 BLUR_SPACING = 0.35
 OCCAM_SHARE = 0.03
 THINNEST_PX = 0.05
+SHARP_PX = 1e-3
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -87,8 +88,8 @@ def places_by_likelihood(
 
     Notes
     -----
-    Noise and widths come from an even lattice of pixels, fitted twice: first from the gradient's footprints and the dark noise
-    alone, then with what that told. All pixels are fitted once, with their neighbours' widths as a prior.
+    Noise and widths come from an even lattice of pixels, fitted twice: first with the dark noise alone, then with what
+    that told. All pixels are fitted once, with their neighbours' widths as a prior.
     """
     table = curve_table(pattern, half_width=windows.half_width, continuous=continuous)
     curves = SweepCurves(windows, table, black.ravel(), clipped)
@@ -96,16 +97,16 @@ def places_by_likelihood(
     box_px = _boxes(start, pixels, black.shape, quantum_px=pattern.step_px if continuous else max(pattern.step_px, 1.0))
     some = _lattice(pixels, black.shape)
     noise = NoiseModel(dark_variance)
-    blur_px = _common_blur_px(curves, pixels, box_px, noise=noise)
-    footprints = Footprints(box_px, blur_px)
-    prior = known_prior(footprints, sd=GRADIENT_SD)
+    lone = lone_peak_variance(windows, black, clipped=clipped, dark_variance=dark_variance)
+    # What is taken for blur depends on the noise, and what for noise on the blur: twice round is enough.
     for _ in range(2):
+        footprints = Footprints(box_px, _common_blur_px(curves, pixels, box_px, noise=noise))
+        prior = known_prior(footprints, sd=GRADIENT_SD)
         fit = fit_stripe(curves, pixels[some], prior.some(some), noise=noise)
-        lone = lone_peak_variance(windows, black, clipped=clipped, dark_variance=dark_variance)
         noise = _noise(
             curves, pixels[some], fit, prior.some(some), before=noise, dark_variance=dark_variance, lone=lone
         )
-        prior = neighbours_prior(fit, some, footprints, pixels, grid=black.shape)
+    prior = neighbours_prior(fit, some, footprints, pixels, grid=black.shape)
     fit = fit_stripe(curves, pixels, prior, noise=noise)
     # A place known no better than the stripe's own width says nothing.
     residual_rms = np.sqrt(fit.chi_square / (fit.freedom + 3) * noise.variance(fit.amplitude / 2))
@@ -137,7 +138,9 @@ def _common_blur_px(curves: SweepCurves, pixels: np.ndarray, box_px: np.ndarray,
     """
     some = np.arange(0, len(pixels), max(len(pixels) // BLUR_PIXELS, 1))
     unit = min(curves.table.pattern.step_px, 1.0)
-    blurs = np.exp(np.arange(np.log(THINNEST_PX * unit), curves.table.log_width[-1], BLUR_SPACING))
+    ladder = np.exp(np.arange(np.log(THINNEST_PX * unit), curves.table.log_width[-1], BLUR_SPACING))
+    # Even a faint tail of a blur would forbid places at the ends of an interval.
+    blurs = np.concatenate([[SHARP_PX * unit], ladder])
     if len(some) == 0:
         return float(blurs[0])
     misfit = []

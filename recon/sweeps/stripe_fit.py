@@ -85,26 +85,29 @@ def _fit_chunk(samples: CurveSamples, prior: WidthPrior, *, table: CurveTable, n
     amplitude = _Linear(curve, weight, samples.height, 1 / noise.read_variance).amplitude
     lit = amplitude.astype(np.float32)[:, None] * curve
     weight = (samples.usable / noise.variance(lit)).astype(np.float32)
-    fit = _walk(samples, start, prior, weight, table=table, noise=noise)
     angular = np.flatnonzero(np.exp(prior.log_width) < _angular_px(table))
-    if len(angular):
-        spread = place_spread(
-            samples.some(angular),
-            weight[angular],
-            black_weight=1 / noise.read_variance,
-            log_width=prior.log_width[angular],
-            width_sd=prior.sd[angular],
-            shape=prior.shape[angular],
-            table=table,
-            about_px=start[angular],
-        )
-        spacing = min(table.pattern.step_px, 1.0) / FINE_PLACES_A_PX
-        # The grid is too coarse for the sharpest likelihoods, and the curvature right where it is that sharp.
-        curved = np.maximum(fit.sd_px[angular], spread.sd_px) < spacing
-        fit.place_px[angular] = np.where(curved, fit.place_px[angular], spread.mean_px)
-        fit.sd_px[angular] = np.where(
-            curved, np.maximum(fit.sd_px[angular], spread.sd_px), np.maximum(spread.sd_px, spacing / np.sqrt(12))
-        )
+    if len(angular) == 0:
+        return _walk(samples, start, prior, weight, table=table, noise=noise)
+    spread = place_spread(
+        samples.some(angular),
+        weight[angular],
+        black_weight=1 / noise.read_variance,
+        log_width=prior.log_width[angular],
+        width_sd=prior.sd[angular],
+        shape=prior.shape[angular],
+        table=table,
+        about_px=start[angular],
+    )
+    # On a flat top the walk has nothing to go by: it begins where the finer grid is best.
+    start[angular] = spread.best_px
+    fit = _walk(samples, start, prior, weight, table=table, noise=noise)
+    spacing = min(table.pattern.step_px, 1.0) / FINE_PLACES_A_PX
+    # The grid is too coarse for the sharpest likelihoods, and the curvature right where it is that sharp.
+    curved = np.maximum(fit.sd_px[angular], spread.sd_px) < spacing
+    fit.place_px[angular] = np.where(curved, fit.place_px[angular], spread.mean_px)
+    fit.sd_px[angular] = np.where(
+        curved, np.maximum(fit.sd_px[angular], spread.sd_px), np.maximum(spread.sd_px, spacing / np.sqrt(12))
+    )
     return fit
 
 

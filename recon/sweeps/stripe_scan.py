@@ -23,14 +23,16 @@ FINE_PLACES_A_PX = 32
 FINE_REACH_PX = 1.25
 # Nodes and weights for the mean over a standard normal variable.
 HERMITE = ((-np.sqrt(3.0), 1 / 6), (0.0, 2 / 3), (np.sqrt(3.0), 1 / 6))
+MIDDLE = 1
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class PlaceSpread:
-    """Mean and standard deviation of the place under its likelihood, in device pixels."""
+    """Mean and standard deviation of the place under its likelihood, and the likeliest place, in device pixels."""
 
     mean_px: Float64[np.ndarray, " pixels"]
     sd_px: Float64[np.ndarray, " pixels"]
+    best_px: Float64[np.ndarray, " pixels"]
 
 
 def best_places(
@@ -93,13 +95,15 @@ def place_spread(
             chi_square[number, rows] = _chi_square(
                 samples.some(rows), weight[rows], grid, int(node[rows[0]]), int(shape[rows[0]]), table, black_weight
             )
+    likeliest = fine[chi_square[MIDDLE].argmin(axis=1)]
     chi_square -= chi_square.min(axis=(0, 2))[:, None]
     likelihood = sum(share * np.exp(-0.5 * one) for (_, share), one in zip(HERMITE, chi_square, strict=True))
     likelihood /= likelihood.sum(axis=1, keepdims=True)
     offset = fine.astype(np.float32)
     first = likelihood @ offset
     variance = likelihood @ offset**2 - first**2
-    return PlaceSpread(samples.peak_px + middle + first, np.sqrt(np.maximum(variance, 0.0), dtype=np.float64))
+    sd_px = np.sqrt(np.maximum(variance, 0.0), dtype=np.float64)
+    return PlaceSpread(samples.peak_px + middle + first, sd_px, samples.peak_px + middle + likeliest)
 
 
 def _alike(
