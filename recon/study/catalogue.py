@@ -1,4 +1,4 @@
-"""Every experiment, in the order of the paper."""
+"""Every experiment, in the order of the paper; then our own."""
 
 from recon.study.correspondence_study import correspondence
 from recon.study.experiment import Experiment
@@ -8,7 +8,6 @@ from recon.study.thin_studies import cone_by_padding, shell_by_shift
 from recon.study.total_reflection import total_reflection
 
 EXPERIMENTS = (
-    Experiment("correspondence", "Correspondence against its bound", correspondence),
     Experiment("noise-baseline", "Noise against baseline", noise_by_baseline),
     Experiment("noise-liquid", "Noise against the liquid's index", noise_by_index),
     Experiment("concave", "A concave object", concave),
@@ -19,4 +18,5 @@ EXPERIMENTS = (
     Experiment("ornament", "Twin of the ornament", ornament),
     Experiment("bottle", "Twin of the bottle", bottle),
     Experiment("plates", "Twins of the thin glass plates", plates),
+    Experiment("correspondence", "Correspondence against its bound", correspondence),
 )
