@@ -48,7 +48,9 @@ format: .venv/full.stamp  ## put the sources into the project's format
 	$(BIN)/python -m ruff format .
 	$(BIN)/python -m ruff check --fix .
 
-bench: .venv/full.stamp  ## measure time and peak memory; each script in tests/bench prints JSON
+bench: .venv/full.stamp  ## measure time and peak memory; `recon bench` and each script in tests/bench print JSON
+	@echo "# recon bench"
+	$(BIN)/recon bench
 	@for script in tests/bench/*.py; do \
 		name="$$(basename "$$script" .py)"; \
 		case " $(ENDURANCE) " in *" $$name "*) continue;; esac; \

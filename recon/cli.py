@@ -8,6 +8,7 @@ import typer
 from rich.console import Console
 
 from recon.batch import command as batch_command
+from recon.bench.command import register as register_bench
 from recon.errors import ReconError, sentence
 from recon.evaluation import command as evaluation_command
 from recon.metrics import Metrics, StageTime
@@ -151,6 +152,7 @@ def validate(session: SessionFolder) -> None:
 
 batch_command.register(app)
 evaluation_command.register(app)
+register_bench(app)
 register_study(app)
 register_view(app)
 

@@ -1,0 +1,87 @@
+"""The ``recon bench`` command: how fast the correspondence stage is on this machine, beside decoding and naive scripts."""
+
+import tempfile
+from pathlib import Path
+from typing import Annotated
+
+import typer
+from rich.box import SIMPLE
+from rich.console import Console
+from rich.table import Table
+
+from recon.bench.bench_result import BenchResult
+
+
+def register(app: typer.Typer) -> None:
+    """Add ``bench`` to the ``recon`` command."""
+    app.command("bench")(bench_command)
+
+
+def bench_command(
+    photos: Annotated[int, typer.Option(min=32, help="Photos of the sweep. The paper: several hundred.")] = 60,
+    size: Annotated[int, typer.Option(min=64, metavar="COLUMNS", help="Camera columns.")] = 3888,
+    seed: Annotated[int, typer.Option(min=0, help="Start of the random numbers.")] = 0,
+    full: Annotated[bool, typer.Option(help="Measure the full method as well; its fit takes most of the time.")] = True,
+    folder: Annotated[
+        Path | None,
+        typer.Option(help="Where the photos are written for a while. [default: the system's temporary folder]"),
+    ] = None,
+) -> None:
+    """Measure time and memory of decoding a sweep, beside decoding alone and naive scripts.
+
+    Makes its own noisy photos. Prints JSON; progress and a table go to the error output.
+    """
+    # Loads the decoder, which would slow every other command.
+    from recon.bench.benchmark import benchmark
+
+    console = Console(stderr=True, soft_wrap=True, highlight=False, markup=False)
+    command = (
+        f"recon bench --photos {photos} --size {size}"
+        + (f" --seed {seed}" if seed else "")
+        + ("" if full else " --no-full")
+    )
+    with tempfile.TemporaryDirectory(prefix="recon-bench-", dir=folder) as name:
+        result = benchmark(
+            Path(name),
+            columns=size,
+            photos=photos,
+            seed=seed,
+            full=full,
+            command=command,
+            say=lambda text: console.print(f"  {text}"),
+        )
+    console.print(table_of(result))
+    typer.echo(result.model_dump_json(indent=1))
+
+
+def table_of(result: BenchResult) -> Table:
+    """Return the measurements in the order in which they were made, with their ratios."""
+    machine = result.machine
+    shown = Table(
+        title=result.command,
+        caption=(
+            f"{machine.processor}, {machine.cores} cores; load {machine.load_before:.1f} before, "
+            f"{machine.load_after:.1f} after. × is over decoding alone; of the argmax scripts, over our sweep"
+        ),
+        box=SIMPLE,
+        padding=(0, 1, 0, 0),
+    )
+    headings = ("contestant", "photos", "kB", "threads", "wall s", "CPU s", "Mpx/s", "peak MB", "×wall", "×CPU")
+    for heading in headings:
+        shown.add_column(heading, justify="left" if heading == "contestant" else "right", no_wrap=True)
+    ratio_of = {(one.contestant, one.file_mb, one.threads): one for one in result.ratios}
+    for one in result.measurements:
+        ratio = ratio_of.get((one.contestant, one.file_mb, one.threads))
+        shown.add_row(
+            one.contestant,
+            str(one.photos),
+            f"{1e3 * one.file_mb:.0f}",
+            str(one.threads),
+            f"{one.wall_s:.3g}",
+            f"{one.processor_s:.3g}",
+            f"{one.megapixels_per_s:.3g}",
+            f"{one.peak_mb:.0f}",
+            f"{ratio.wall:.2f}" if ratio else "",
+            f"{ratio.processor:.2f}" if ratio else "",
+        )
+    return shown
