@@ -12,6 +12,8 @@ from jaxtyping import Float64, Int32
 Counts = np.ndarray  # [rows, cols] uint8 or uint16
 
 NO_PEAK = -1
+# Comparisons go block by block, so that what they make stays in a core's own cache; smaller blocks cost calls.
+BLOCK_PIXELS = 1 << 18
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -75,18 +77,24 @@ class PeakTracker:
     def _test(self, index: int) -> None:
         if index < 0 or index >= self._fed:
             return
-        before, centre, after = self._ring[self._half_width - 1 : self._half_width + 2]
+        for first in range(0, self._brightest.size, BLOCK_PIXELS):
+            self._test_block(slice(first, first + BLOCK_PIXELS), index)
+
+    def _test_block(self, block: slice, index: int) -> None:
+        before, centre, after = (self._ring[self._half_width + neighbour][block] for neighbour in (-1, 0, 1))
+        brightest = self._brightest[block]
         # Only a local maximum can be the brightest of all: a rising flank is not written again and again.
-        candidate = centre > self._brightest
+        candidate = centre > brightest
         if not candidate.any():
             return
         candidate &= centre >= before
         candidate &= centre >= after
         pixels = np.flatnonzero(candidate)
-        self._brightest[pixels] = centre[pixels]
-        self._index[pixels] = index
+        brightest[pixels] = centre[pixels]
+        self._index[block][pixels] = index
+        samples = self._samples[block]
         for column, photo in enumerate(self._ring):
-            self._samples[pixels, column] = photo[pixels]
+            samples[pixels, column] = photo[block][pixels]
 
 
 def parabola_offset(
