@@ -15,7 +15,7 @@ UNSEEN_PHOTOS = 3
 
 DARK_COUNTS = 6.0
 STRIPE_COUNTS = 170.0
-READ_NOISE_COUNTS = 1.2
+READ_NOISE_COUNTS = 1.8
 # Variance of a sample per count of light, in counts.
 SHOT_NOISE_COUNTS = 0.08
 # The noise is drawn once and laid under every photo and colour at another offset of up to so many pixels.

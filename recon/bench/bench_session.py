@@ -43,8 +43,9 @@ def write_bench_sessions(
     """Write one sweep along x, and a photo of the dark display, once for each wanted size of a photo in bytes."""
     scene = bench_scene(columns=columns, photos=photos, seed=seed)
     rng = np.random.default_rng(seed + 1)
-    middle = photo(scene, photos // 2, rng=rng)
-    qualities = [quality_of(middle, wanted) for wanted in photo_bytes]
+    # Midway between the rim of the ellipse and its middle, where most is lit and a photo is largest.
+    typical = photo(scene, photos // 4, rng=rng)
+    qualities = [quality_of(typical, wanted) for wanted in photo_bytes]
     sizes: list[list[int]] = [[] for _ in qualities]
     with ExitStack() as stack:
         writers = [

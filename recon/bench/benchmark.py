@@ -8,7 +8,7 @@ import numpy as np
 
 from recon.bench.bench_result import Agreement, BenchResult, Measurement, Photos, Ratio
 from recon.bench.bench_scene import ASPECT
-from recon.bench.bench_session import write_bench_sessions
+from recon.bench.bench_session import BenchSession, write_bench_sessions
 from recon.bench.contestants import DECODING, FULL, LOOP, PAPER, RUNNING, STACK
 from recon.bench.machine import machine, memory_bytes
 from recon.bench.measurement import measured, own_processes
@@ -75,7 +75,7 @@ def benchmark(
             for one, size in zip((*sessions, short), (*wanted, wanted[USUAL]), strict=True)
         ),
         measurements=tuple(found),
-        ratios=tuple(ratios(found, photos=photos)),
+        ratios=(*ratios(found, photos=photos), *ratios_of_one_more_photo(found, short, usual)),
         agreement=tuple(agreement(folder, one) for one in NAIVE if map_of(folder, one).exists()),
         notes=tuple(notes),
     )
@@ -97,6 +97,29 @@ def ratios(found: list[Measurement], *, photos: int) -> list[Ratio]:
                     threads=threads,
                     wall=one.wall_s / other.wall_s,
                     processor=one.processor_s / other.processor_s,
+                )
+            )
+    return made
+
+
+def ratios_of_one_more_photo(found: list[Measurement], short: BenchSession, usual: BenchSession) -> list[Ratio]:
+    """Return what one more photo costs our sweep over decoding one: the two lengths of sweep place the same pixels."""
+    one_thread = {(one.contestant, one.photos, one.file_mb): one for one in found if one.threads == 1}
+    decoding = one_thread[DECODING, usual.photos, usual.file_mb]
+    made = []
+    for contestant in OURS:
+        long_sweep = one_thread.get((contestant, usual.photos, usual.file_mb))
+        short_sweep = one_thread.get((contestant, short.photos, short.file_mb))
+        if long_sweep and short_sweep:
+            share = usual.photos / (usual.photos - short.photos)
+            made.append(
+                Ratio(
+                    contestant=f"{contestant}: one more photo",
+                    over=DECODING,
+                    file_mb=usual.file_mb,
+                    threads=1,
+                    wall=share * (long_sweep.wall_s - short_sweep.wall_s) / decoding.wall_s,
+                    processor=share * (long_sweep.processor_s - short_sweep.processor_s) / decoding.processor_s,
                 )
             )
     return made

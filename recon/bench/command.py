@@ -11,6 +11,8 @@ from rich.table import Table
 
 from recon.bench.bench_result import BenchResult
 
+TABLE_WIDTH = 96
+
 
 def register(app: typer.Typer) -> None:
     """Add ``bench`` to the ``recon`` command."""
@@ -51,6 +53,13 @@ def bench_command(
             say=lambda text: console.print(f"  {text}"),
         )
     console.print(table_of(result))
+    for ratio in result.ratios:
+        if "one more" in ratio.contestant:
+            console.print(
+                f"{ratio.contestant}: {ratio.wall:.2f} of {ratio.over} by the wall, {ratio.processor:.2f} by CPU"
+            )
+    for found in result.agreement:
+        console.print(f"{found.contestant}: the same photo as our sweep's in {found.share:.2%} of its pixels")
     typer.echo(result.model_dump_json(indent=1))
 
 

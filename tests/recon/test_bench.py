@@ -9,7 +9,7 @@ import pytest
 from recon.bench.bench_result import Measurement
 from recon.bench.bench_scene import bench_scene, photo
 from recon.bench.bench_session import BenchSession, encoded, quality_of, write_bench_sessions
-from recon.bench.benchmark import ratios
+from recon.bench.benchmark import ratios, ratios_of_one_more_photo
 from recon.bench.contestants import DECODING, PAPER, RUNNING, paper_sweep, running_argmax, stack_argmax, sweep_files
 from recon.bench.measurement import measured, own_processes
 from recon.sessions.session import Session, open_session
@@ -81,6 +81,17 @@ def test_ratios_compare_the_same_files_with_the_same_threads() -> None:
     ]
     made = {(one.contestant, one.file_mb): (one.wall, one.over) for one in ratios(found, photos=PHOTOS)}
     assert made == {(PAPER, 1.0): (1.5, DECODING), (PAPER, 2.0): (1.25, DECODING), (RUNNING, 2.0): (4.0, PAPER)}
+
+
+def test_one_more_photo_costs_the_difference_of_two_lengths() -> None:
+    short, usual = (BenchSession(Path(), photos, 90, file_mb) for photos, file_mb in ((10, 1.0), (30, 2.0)))
+    found = [
+        _measurement(DECODING, file_mb=2.0, wall_s=3.0, photos=30),  # 0.1 s a photo
+        _measurement(PAPER, file_mb=2.0, wall_s=9.0, photos=30),
+        _measurement(PAPER, file_mb=1.0, wall_s=5.0, photos=10),  # 4 s for 20 photos more: 0.2 s a photo
+    ]
+    (made,) = ratios_of_one_more_photo(found, short, usual)
+    assert made.wall == pytest.approx(2.0)
 
 
 def _measurement(contestant: str, *, file_mb: float, wall_s: float, photos: int = PHOTOS) -> Measurement:
