@@ -52,7 +52,8 @@ def bench_command(
             command=command,
             say=lambda text: console.print(f"  {text}"),
         )
-    console.print(table_of(result))
+    # Both sizes, or rich takes 80 columns wherever the error output is not a terminal.
+    Console(stderr=True, width=TABLE_WIDTH, height=1, highlight=False).print(table_of(result))
     for ratio in result.ratios:
         if "one more" in ratio.contestant:
             console.print(

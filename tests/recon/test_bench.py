@@ -9,7 +9,7 @@ import pytest
 from recon.bench.bench_result import Measurement
 from recon.bench.bench_scene import bench_scene, photo
 from recon.bench.bench_session import BenchSession, encoded, quality_of, write_bench_sessions
-from recon.bench.benchmark import ratios, ratios_of_one_more_photo
+from recon.bench.benchmark import ratio_of_one_more_photo, ratios
 from recon.bench.contestants import DECODING, PAPER, RUNNING, paper_sweep, running_argmax, stack_argmax, sweep_files
 from recon.bench.measurement import measured, own_processes
 from recon.sessions.session import Session, open_session
@@ -90,7 +90,7 @@ def test_one_more_photo_costs_the_difference_of_two_lengths() -> None:
         _measurement(PAPER, file_mb=2.0, wall_s=9.0, photos=30),
         _measurement(PAPER, file_mb=1.0, wall_s=5.0, photos=10),  # 4 s for 20 photos more: 0.2 s a photo
     ]
-    (made,) = ratios_of_one_more_photo(found, short, usual)
+    made = ratio_of_one_more_photo(found, short, usual)
     assert made.wall == pytest.approx(2.0)
 
 
