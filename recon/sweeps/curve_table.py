@@ -10,7 +10,7 @@ from dataclasses import dataclass
 from functools import lru_cache
 
 import numpy as np
-from jaxtyping import Float32, Float64, Int64
+from jaxtyping import Bool, Float32, Float64, Int64
 from scipy.fft import irfft, next_fast_len, rfft, rfftfreq
 
 from recon.patterns.sweep_frames import device_brightness
@@ -48,7 +48,7 @@ class CurveTable:
 
     ``log_width`` are the width nodes, ``spacing_px`` and ``reach_px`` the spacing and range of the distances (from the stripe's
     centre to the footprint's), ``alignments_px`` the different places of a stripe's centre on its device pixel, and
-    ``alignment_of`` tells for stripe numbers from ``-pad`` on which of them each has. The curves of a shape are computed
+    ``alignment_of`` tells for stripe numbers from ``-pad`` on which of them each has. A curve is computed
     when it is first ``fill``-ed in.
     """
 
@@ -62,16 +62,18 @@ class CurveTable:
     pad: int
     value: Curves
     slope: Curves
-    filled: set[int]
+    filled: Bool[np.ndarray, " curves"]
 
-    def fill(self, shapes: np.ndarray) -> None:
-        """Compute the curves of these shapes, where that has not been done."""
-        for shape in set(np.unique(shapes).tolist()) - self.filled:
-            for node, one in enumerate(self.log_width):
-                for number, offset_px in enumerate(self.alignments_px):
-                    value, slope = _curve(float(np.exp(one)), shape, float(offset_px), self)
-                    self.value[shape, node, number], self.slope[shape, node, number] = value, slope
-            self.filled.add(shape)
+    def fill(self, shape: Int64[np.ndarray, " pixels"], node: Int64[np.ndarray, " pixels"]) -> None:
+        """Compute the curves of these shapes and widths, where that has not been done."""
+        nodes = len(self.log_width)
+        wanted = np.unique(shape * nodes + node)
+        for number in wanted[~self.filled[wanted]].tolist():
+            one, at = divmod(number, nodes)
+            for kind, offset_px in enumerate(self.alignments_px):
+                value, slope = _curve(float(np.exp(self.log_width[at])), one, float(offset_px), self)
+                self.value[one, at, kind], self.slope[one, at, kind] = value, slope
+            self.filled[number] = True
 
     @property
     def entries_a_step(self) -> int:
@@ -118,7 +120,7 @@ def curve_table(pattern: StripePattern, *, half_width: int, continuous: bool) ->
         pad=pad,
         value=np.zeros(size, dtype=np.float32),
         slope=np.zeros(size, dtype=np.float32),
-        filled=set(),
+        filled=np.zeros(len(SHAPES) * nodes, dtype=bool),
     )
 
 

@@ -15,9 +15,8 @@ FEWEST_PIXELS = 200
 # What neighbours add to their own sd, in units of the surest places': a lone sure neighbour must not decide alone.
 NEIGHBOUR_SCALE = 3.0
 BISECTIONS = 40
-# Squares beyond three sigma count as nine: edges and jumps of the map. The mean of such squares for normal noise.
-LARGEST_SQUARE = 9.0
-EXPECTED_SQUARE = 0.995
+# Median of the square of a standard normal variable; edges and jumps of the map, where differences mean nothing, leave it alone.
+MEDIAN_SQUARE = 0.4549
 
 Grid = Float64[np.ndarray, "rows cols"]
 
@@ -26,15 +25,15 @@ def scatter_beyond_px(place_px: Grid, sd_px: Grid) -> float:
     """Return the standard deviation that places have beside their own, from maps with NaN where there is no place.
 
     A quadratic surface is laid through the 7 by 7 neighbours of each of the surest places, without the place itself. What is
-    returned makes the mean square of the normalised differences that of a standard normal variable; 0 where the places' own
-    are large enough, or pixels too few.
+    returned makes the median square of the normalised differences that of a standard normal variable; 0 where the places'
+    own are large enough, or pixels too few.
     """
     square, variance = _differences(place_px, sd_px)
     if len(square) < FEWEST_PIXELS:
         return 0.0
 
     def too_small(beyond: float) -> bool:
-        return bool(np.minimum(square / (variance + beyond), LARGEST_SQUARE).mean() > EXPECTED_SQUARE)
+        return bool(np.median(square / (variance + beyond)) > MEDIAN_SQUARE)
 
     if not too_small(0.0):
         return 0.0

@@ -65,7 +65,6 @@ def fit_stripe(
     """Fit the curve of every listed pixel, some thousands at a time so that memory stays small."""
     table = curves.table
     result = StripeFit(*(np.full(len(pixels), np.nan) for _ in StripeFit.__slots__))
-    table.fill(prior.shape)
     # Pixels of nearly one footprint stand together, so that a scan of many is one matrix product.
     order = np.lexsort((prior.shape, table.nearest_node(prior.log_width)))
     for low in range(0, len(order), PIXELS_A_CHUNK):
@@ -259,6 +258,7 @@ def looked_up(
     """Return each pixel's curve at its samples, and the derivatives by place and by the width's logarithm."""
     _, nodes, kinds, entries = table.value.shape
     node = np.clip(((log_width - table.log_width[0]) / NODE_SPACING).astype(np.int64), 0, len(table.log_width) - 2)
+    table.fill(np.concatenate([shape, shape]), np.concatenate([node, node + 1]))
     share = np.clip((log_width - table.log_width[node]) / NODE_SPACING, 0.0, 1.0).astype(np.float32)[:, None]
     distance = place - samples.peak_px
     entry = table.entry(distance)

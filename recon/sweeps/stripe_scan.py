@@ -24,6 +24,9 @@ FINE_REACH_PX = 1.25
 # Nodes and weights for the mean over a standard normal variable.
 HERMITE = ((-np.sqrt(3.0), 1 / 6), (0.0, 2 / 3), (np.sqrt(3.0), 1 / 6))
 MIDDLE = 1
+# Fewer pixels than this with the same templates are not worth a matrix product of their own.
+FEWEST_ALIKE = 48
+MIXED_AT_ONCE = 512
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -47,15 +50,15 @@ def best_places(
 
     One shape of footprint does for all: the walk that starts there knows each pixel's own.
     """
-    table.fill(np.array([SCAN_SHAPE]))
     step = table.pattern.step_px
     reach = SCAN_STEPS * COARSE_PLACES_A_STEP
     grid = step * np.arange(-reach, reach + 1) / COARSE_PLACES_A_STEP
-    node = table.nearest_node(log_width)
+    node, shape = table.nearest_node(log_width), np.full(len(log_width), SCAN_SHAPE)
+    table.fill(shape, node)
     place = np.empty(len(samples.peak))
+    middle = np.zeros(len(node))
     for rows in _alike(samples, node, table):
-        number = int(node[rows[0]])
-        chi_square = _chi_square(samples.some(rows), weight[rows], grid, number, SCAN_SHAPE, table, black_weight)
+        chi_square = _chi_square(samples, weight, rows, grid, middle, node, shape, table, black_weight)
         best = np.clip(chi_square.argmin(axis=1), 1, len(grid) - 2)
         line = np.arange(len(rows))
         before, least, after = (chi_square[line, best + k].astype(np.float64) for k in (-1, 0, 1))
@@ -88,12 +91,16 @@ def place_spread(
     middle = unit * np.rint((about_px - samples.peak_px) / unit)
     cell = np.rint(middle / unit).astype(np.int64)
     chi_square = np.empty((len(HERMITE), len(middle), len(fine)), dtype=np.float32)
-    for number, (shift, _) in enumerate(HERMITE):
-        node = table.nearest_node(log_width + shift * width_sd)
-        for rows in _alike(samples, node * len(SHAPES) + shape, table, also=cell):
-            grid = middle[rows[0]] + fine
+    nodes = [table.nearest_node(log_width + shift * width_sd) for shift, _ in HERMITE]
+    for number in (MIDDLE, *(other for other in range(len(HERMITE)) if other != MIDDLE)):
+        node = nodes[number]
+        table.fill(shape, node)
+        # A width that is known well has one node, and one scan.
+        same = (node == nodes[MIDDLE]) & (number != MIDDLE)
+        chi_square[number, same] = chi_square[MIDDLE, same]
+        for rows in _alike(samples, node * len(SHAPES) + shape, table, also=cell, among=np.flatnonzero(~same)):
             chi_square[number, rows] = _chi_square(
-                samples.some(rows), weight[rows], grid, int(node[rows[0]]), int(shape[rows[0]]), table, black_weight
+                samples, weight, rows, fine, middle, node, shape, table, black_weight
             )
     likeliest = fine[chi_square[MIDDLE].argmin(axis=1)]
     chi_square -= chi_square.min(axis=(0, 2))[:, None]
@@ -107,38 +114,84 @@ def place_spread(
 
 
 def _alike(
-    samples: CurveSamples, node: np.ndarray, table: CurveTable, *, also: np.ndarray | None = None
+    samples: CurveSamples,
+    node: np.ndarray,
+    table: CurveTable,
+    *,
+    also: np.ndarray | None = None,
+    among: np.ndarray | None = None,
 ) -> list[Int64[np.ndarray, " rows"]]:
-    """Return the rows of each group of pixels that one set of templates serves."""
+    """Return the rows of each large group of pixels that one set of templates serves, then all others, some at a time."""
     kinds = int(table.alignment_of.max()) + 1
     key = node * kinds + table.alignment_of[samples.peak + table.pad]
     if also is not None:
         key = key * (also.max() - also.min() + 1) + also - also.min()
-    order = np.argsort(key, kind="stable")
-    return np.split(order, np.flatnonzero(np.diff(key[order])) + 1) if len(order) else []
+    rows = np.arange(len(key)) if among is None else among
+    order = rows[np.argsort(key[rows], kind="stable")]
+    if not len(order):
+        return []
+    groups = np.split(order, np.flatnonzero(np.diff(key[order])) + 1)
+    few = [group for group in groups if len(group) < FEWEST_ALIKE]
+    mixed = np.concatenate(few) if few else order[:0]
+    blocks = [mixed[low : low + MIXED_AT_ONCE] for low in range(0, len(mixed), MIXED_AT_ONCE)]
+    return [*(group for group in groups if len(group) >= FEWEST_ALIKE), *blocks]
 
 
 def _chi_square(
     samples: CurveSamples,
     weight: np.ndarray,
-    grid_px: np.ndarray,
-    node: int,
-    shape: int,
+    rows: np.ndarray,
+    places_px: np.ndarray,
+    middle_px: np.ndarray,
+    node: np.ndarray,
+    shape: np.ndarray,
     table: CurveTable,
     black_weight: float,
 ) -> Float32[np.ndarray, "pixels places"]:
-    """Return chi-square at these places from the brightest sample, less a constant of each pixel."""
+    """Return chi-square of some rows at these places about their middles, less a constant of each pixel.
+
+    The middles are counted from the brightest sample. Many rows with the same templates are one matrix product; others look
+    up templates of their own.
+    """
     offset = np.arange(-samples.half_width, samples.half_width + 1)
-    kind = table.alignment_of[samples.peak[0] + offset + table.pad]
-    curve = table.value[shape, node][kind, table.entry(grid_px[:, None] - table.pattern.step_px * offset)]
-    weighted = weight * samples.height
-    s_mm = weight @ (curve**2).T + np.float32(1e-12)
-    s_m = weight @ curve.T
-    s_my = weighted @ curve.T
-    s_1 = weight.sum(axis=1, keepdims=True) + np.float32(black_weight)
+    first = rows[0]
+    if len(rows) >= FEWEST_ALIKE and _one_template(rows, samples, middle_px, node, shape, table):
+        kind = table.alignment_of[samples.peak[first] + offset + table.pad]
+        distance = (middle_px[first] + places_px)[:, None] - table.pattern.step_px * offset
+        curve = table.value[shape[first], node[first]][kind, table.entry(distance)]
+    else:
+        _, nodes, kinds, entries = table.value.shape
+        kind = table.alignment_of[samples.peak[rows][:, None] + offset + table.pad]
+        base = ((shape[rows] * nodes + node[rows])[:, None] * kinds + kind) * entries
+        entry = table.entry(middle_px[rows][:, None] + places_px)[:, :, None] - table.entries_a_step * offset
+        curve = table.value.ravel().take(np.clip(entry, 0, entries - 1) + base[:, None, :])
+    weight_of, height = weight[rows], samples.height[rows]
+    weighted = weight_of * height
+    s_mm = _summed(weight_of, curve**2) + np.float32(1e-12)
+    s_m = _summed(weight_of, curve)
+    s_my = _summed(weighted, curve)
+    s_1 = weight_of.sum(axis=1, keepdims=True) + np.float32(black_weight)
     s_y = weighted.sum(axis=1, keepdims=True)
     # Background removed first: what the curve then explains is the drop of chi-square.
     inner = s_mm - s_m**2 / s_1
     toward = s_my - s_m * s_y / s_1
     # A stripe takes no light away.
     return -(np.maximum(toward, 0.0) ** 2) / np.maximum(inner, 1e-6 * s_mm)
+
+
+def _one_template(
+    rows: np.ndarray,
+    samples: CurveSamples,
+    middle_px: np.ndarray,
+    node: np.ndarray,
+    shape: np.ndarray,
+    table: CurveTable,
+) -> bool:
+    """Tell whether all rows have footprint, alignment and middle of the first."""
+    kind = table.alignment_of[samples.peak[rows] + table.pad]
+    return all((values == values[0]).all() for values in (kind, middle_px[rows], node[rows], shape[rows]))
+
+
+def _summed(weight: np.ndarray, curve: np.ndarray) -> np.ndarray:
+    """Return the weighted sums over the samples [pixels, places] of one template for all, or of one for each pixel."""
+    return weight @ curve.T if curve.ndim == 2 else np.einsum("ps,pls->pl", weight, curve)

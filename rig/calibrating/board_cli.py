@@ -18,7 +18,7 @@ from rig.calibrating.calibration_steps import (
 from rig.calibrating.computation import compute_calibration
 from rig.calibrating.guide import Guide
 from rig.calibrating.kept_photos import CAMERA, DRY, WET
-from rig.calibrating.pose_capture import PREPARATIONS
+from rig.calibrating.pose_capture import PREPARATIONS, needs_tank
 from rig.calibrating.terminal import FolderArgument, ready, say, yes
 from rig.errors import ConfigError
 from rig.options import Rig, choose_rig
@@ -116,6 +116,8 @@ def poses(
         SceneOptions(camera_columns=size, display_columns=display_columns, seed=seed),
         state=state,
     )
+    if wet:
+        needs_tank(rig.config)
     ready(rig, *PREPARATIONS, "The tank is filled, or the pump may fill it." if wet else "The tank is empty.")
     photograph_poses(folder, rig.config, wet=wet, fill=fill, simulation=simulation, say=say)
     say(f"{'wet' if wet else 'dry'} photos are kept in {folder}; next: `rig calibrate compute {folder}`")

@@ -13,7 +13,7 @@ from rig.calibrating.calibration_photos import CalibrationCamera
 from rig.calibrating.camera_capture import seen_text
 from rig.capturing.stage_moves import StageMoves
 from rig.capturing.stop_request import StopRequest
-from rig.config import RigConfig, longest_run_s
+from rig.config import RigConfig, Tank, longest_run_s
 from rig.devices import Devices
 from rig.errors import CaptureError
 from rig.planning.plan import LEVEL_TOLERANCE
@@ -31,6 +31,13 @@ PREPARATIONS = (
     "The object is out of the tank, or leaves most of the display in sight.",
     "The stage is free to move over its whole travel.",
 )
+
+
+def needs_tank(config: RigConfig) -> Tank:
+    """Return the rig's tank; raises ``CaptureError`` where it has none to photograph wet."""
+    if config.tank is None:
+        raise CaptureError("this rig has no tank (section [tank]), so there is nothing to photograph wet")
+    return config.tank
 
 
 @dataclass(slots=True)
@@ -138,9 +145,7 @@ class PoseCapture:
 
     def _make_wet(self, tank_ml: float, stop: StopRequest) -> bool:
         """Bring the tank to its level by the configured means, and return whether the pump did."""
-        tank = self.config.tank
-        if tank is None:
-            raise CaptureError("this rig has no tank (section [tank]), so there is nothing to photograph wet")
+        tank = needs_tank(self.config)
         missing_ml = tank.fill_ml - tank_ml
         if abs(missing_ml) <= LEVEL_TOLERANCE * tank.fill_ml:
             return False

@@ -112,7 +112,7 @@ def develop(
 
 
 def take(
-    photo: TakePhoto, place: SetPlace, photographer: Photographer, config: RigConfig, disturbance: Disturbance
+    photo: TakePhoto, place: SetPlace, photographer: Photographer, config: RigConfig, disturbance: Disturbance = QUIET
 ) -> bytes:
     """Return one photo as the simulated camera would take it at this point of the plan."""
     position, condition = place

@@ -28,7 +28,7 @@ from recon.sessions.session import Session, open_session
 from rig.rehearsing.scene_config import SceneOptions, config_of_scene, open_scene
 from rig.rehearsing.simulate import simulate_session
 from sim_backend.disturbance import Disturbance
-from sim_backend.scene import Scene, SceneGlass
+from sim_backend.scene import Scene, SceneGlass, load_scene
 
 OPTIONS = SceneOptions(display_columns=1024, width_px=24, step_px=8, board=True)
 # Of the lab's 720 × 480 pixels, those that see the tablet.
@@ -44,8 +44,8 @@ Row = dict[str, float | str]
 
 
 def lab(columns: int, glass_mm: float) -> Scene:
-    """Return the middle of the lab, its photos so wide, with cover glass of index 1.51 if any."""
-    scene = open_scene("lab", OPTIONS)
+    """Return the middle of the lab with a hemisphere, its photos so wide, with cover glass of index 1.51 if any."""
+    scene = open_scene("lab", OPTIONS).model_copy(update={"specimen": load_scene("hemisphere").specimen})
     camera = scene.camera.model_copy(update=MIDDLE)
     glass = SceneGlass(thickness_mm=glass_mm, n=1.51) if glass_mm else None
     panel = scene.display.model_copy(update={"cover_glass": glass})

@@ -25,6 +25,7 @@ from rig.capture_sections import BoardPhotos
 from rig.rehearsing.scene_config import SceneOptions, config_of_scene, open_scene
 from rig.rehearsing.simulate import simulate_session
 from sim_backend.disturbance import Disturbance
+from sim_backend.scene import load_scene
 
 SIZE = SceneOptions(display_columns=1024, width_px=48, step_px=16)
 # The middle of the lab's camera, which sees the tablet and little else.
@@ -43,7 +44,7 @@ SIGMA = 4.5
 
 @pytest.fixture(scope="module")
 def session(tmp_path_factory: pytest.TempPathFactory) -> Session:
-    scene = open_scene("lab", SIZE)
+    scene = open_scene("lab", SIZE).model_copy(update={"specimen": load_scene("hemisphere").specimen})
     scene = scene.model_copy(update={"camera": scene.camera.model_copy(update={**CAMERA, "blur_px": 0.3})})
     config = config_of_scene(scene, SIZE)
     board = BoardPhotos(squares_along=10, photos=2)

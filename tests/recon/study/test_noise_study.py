@@ -61,7 +61,7 @@ def test_a_scene_is_written_as_toml_that_reads_back() -> None:
 
 def test_an_unknown_study_is_named_with_those_that_there_are(tmp_path: Path) -> None:
     ran = CliRunner().invoke(app, ["study", "hemisfere", "--out", str(tmp_path)])
-    assert "choose one of: noise-baseline" in str(ran.exception)
+    assert "choose one of: noise-baseline, " in str(ran.exception)
     assert "hemisphere" in CliRunner().invoke(app, ["study"]).output
 
 
