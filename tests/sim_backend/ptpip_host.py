@@ -7,7 +7,7 @@ import struct
 class Host:
     """Two connections to an emulated camera, and one request at a time."""
 
-    def __init__(self, port: int, *, timeout_s: float = 10.0) -> None:
+    def __init__(self, port: int, *, timeout_s: float = 60.0) -> None:
         self.commands = socket.create_connection(("127.0.0.1", port), timeout=timeout_s)
         self.events = socket.create_connection(("127.0.0.1", port), timeout=timeout_s)
         self._transaction = 0
