@@ -24,6 +24,8 @@ Trace = Callable[[Direction, float, bytes], None]
 # How long one read waits before the deadline is looked at again.
 READ_SLICE_S = 0.005
 WRITE_TIMEOUT_S = 5.0
+# What arrived before a question is read in a slice or two; a line that babbles longer than this is babbling for ever.
+LONGEST_FLUSH_S = 0.2
 # An answer that never ends is noise; no device here sends lines anywhere near as long.
 LONGEST_ANSWER = 65536
 # What the operating system says where a port has no such wire: a pseudo terminal, some USB adapters.
@@ -206,9 +208,16 @@ class SerialPort:
         return self._take(count)
 
     def flush_input(self) -> bytes:
-        """Throw away what has arrived so far, so that the next answer belongs to the next question; return it."""
-        while self._read_available():
+        """Throw away what has arrived so far, so that the next answer belongs to the next question; return it.
+
+        A line that never falls silent holds nobody up: it is read for ``LONGEST_FLUSH_S`` at most.
+        """
+        until_s = time.monotonic() + LONGEST_FLUSH_S
+        while self._read_available() and time.monotonic() < until_s:
             pass
+        return self._discard()
+
+    def _discard(self) -> bytes:
         stale = bytes(self._pending)
         self._pending.clear()
         if stale:
@@ -217,13 +226,12 @@ class SerialPort:
 
     def resynchronise(self, *, quiet_s: float, deadline_s: float) -> bytes:
         """Throw away noise until nothing came for ``quiet_s``, or until the deadline; return it."""
-        stale = bytearray(self.flush_input())
+        self._read_available()
         quiet_since_s = time.monotonic()
         while time.monotonic() < min(quiet_since_s + quiet_s, deadline_s):
             if self._read_available():
-                stale += self.flush_input()
                 quiet_since_s = time.monotonic()
-        return bytes(stale)
+        return self._discard()
 
     def set_data_terminal_ready(self, on: bool) -> bool:
         """Set the DTR wire; return False where the port has none (a pseudo terminal, a plain socket)."""

@@ -5,8 +5,8 @@ from dataclasses import dataclass
 import numpy as np
 from jaxtyping import Float64
 
-from recon.calibration.board import Board
 from recon.calibration.errors import CalibrationError
+from recon.sessions.manifest import DisplayPanel
 
 AGREE_SIGMA = 3.0
 
@@ -77,19 +77,17 @@ def caliper_check(
     return CaliperCheck(first[0], second[0], caliper_mm, caliper_sd_mm, found_mm, found_sd_mm)
 
 
-def corner_check(
-    board: Board, first: int, second: int, *, pitch_sd_share: float, caliper_mm: float, caliper_sd_mm: float
+def panel_check(
+    display: DisplayPanel, pixels: float, *, pitch_sd_share: float, caliper_mm: float, caliper_sd_mm: float
 ) -> CaliperCheck:
-    """Compare the distance of two corners of a board on the display, which follows from its pitch, with a caliper's.
+    """Compare a stretch of so many device pixels, which follows from the display's pitch, with a caliper's.
 
-    ``pitch_sd_share`` is how well the pitch is known, as a share of itself.
+    ``pitch_sd_share`` is how well the pitch is known, as a share of itself; 0 where it was taken as given.
     """
-    places = board.corner_mm()
-    if not (0 <= first < len(places) and 0 <= second < len(places)):
-        raise CalibrationError(
-            f"caliper: the board has corners 0 to {len(places) - 1}; {first} and {second} were named"
-        )
-    points = [(f"corner {number}", np.append(places[number], 0.0)) for number in (first, second)]
+    most = max(display.columns, display.rows)
+    if not 0 < pixels <= most:
+        raise CalibrationError(f"caliper: {pixels:g} pixels asked, the display has 1 to {most} along its longer side")
+    points = [(f"pixel {place:g}", np.array([place * display.pitch_mm, 0.0, 0.0])) for place in (0.0, pixels)]
     # A pitch that is off stretches both places alike: their errors are one number times the places.
     stretch = np.concatenate([point for _, point in points]) * pitch_sd_share
     return caliper_check(

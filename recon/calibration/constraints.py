@@ -35,15 +35,6 @@ def travel_known(first: str, second: str, *, travel_mm: float, sd_mm: float) -> 
     return Constraint(misses, (first, second))
 
 
-def turned_alike(first: str, second: str, *, sd_rad: float) -> Constraint:
-    """The stage did not turn the panel on the way."""
-
-    def misses(state: BundleState) -> Float64[np.ndarray, " _"]:
-        return turn_between(state.panels[first], state.panels[second]) / sd_rad
-
-    return Constraint(misses, (first, second))
-
-
 def slipped_little(dry: str, wet: str, *, sd: Sequence[float]) -> Constraint:
     """The panel moved little between two sets at the same position.
 

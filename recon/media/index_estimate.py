@@ -1,6 +1,5 @@
 """An index with its standard deviation, and the statistics that both ways of measuring it share."""
 
-from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -18,21 +17,6 @@ class IndexEstimate:
     n: float
     sd: float
     pixels: int
-
-
-def combined(estimates: Sequence[IndexEstimate]) -> IndexEstimate | None:
-    """Return the mean weighted by certainty; None of none.
-
-    Where the estimates contradict each other the standard deviation grows with their scatter (Birge's ratio).
-    """
-    if not estimates:
-        return None
-    n = np.array([one.n for one in estimates])
-    weight = np.array([1 / one.sd**2 for one in estimates])
-    mean = float((weight * n).sum() / weight.sum())
-    freedom = max(len(n) - 1, 1)
-    birge = max(1.0, float(np.sqrt((weight * (n - mean) ** 2).sum() / freedom)))
-    return IndexEstimate(mean, birge / float(np.sqrt(weight.sum())), sum(one.pixels for one in estimates))
 
 
 def robust_weights(residual: Float64[np.ndarray, " equations"]) -> Float64[np.ndarray, " equations"]:

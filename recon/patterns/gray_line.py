@@ -27,11 +27,6 @@ def gray_line_levels(pattern: GrayLinePattern, index: int, *, device_px: int) ->
     return _bar_levels(pattern, bit, inverted=bool(inverted), device_px=device_px)
 
 
-def photo_of_bit(pattern: GrayLinePattern, bit: int, *, inverted: bool) -> int:
-    """Return the number of the photo that shows a bit; bit 0 is the lowest."""
-    return pattern.steps + 2 * bit + inverted
-
-
 def bar_edges_px(pattern: GrayLinePattern) -> tuple[float, float]:
     """Return where bar 0 begins, and how wide a bar is: half a period."""
     return pattern.first_px - pattern.step_px / 2, pattern.period_px / 2

@@ -142,16 +142,17 @@ def _statistics(maps: Maps, crossing: Crossing | None) -> tuple[Statistic, ...]:
             how="angle between the paths in liquid and in air",
         ),
     ]
-    if crossing is not None and np.isfinite(maps.sd_mm[valid]).any():
-        fine = crossing.status == PixelStatus.OK
+    if maps.normal_sd_rad is not None:
         found.append(
             statistic(
                 "normal sd",
                 "deg",
-                np.degrees(np.sqrt(crossing.normal_sd_rad[fine] ** 2 + crossing.carried_rad2[fine])),
+                np.degrees(maps.normal_sd_rad[valid]),
                 how="root of the summed variances of the normal's two tilts, from the photos' own noise and the registration",
             )
         )
+    if crossing is not None and np.isfinite(maps.sd_mm[valid]).any():
+        fine = crossing.status == PixelStatus.OK
         with np.errstate(divide="ignore", invalid="ignore"):
             normalised = np.abs(crossing.points.gap_mm[fine]) / crossing.points.gap_sd_mm[fine]
         found.append(

@@ -6,6 +6,7 @@ from typing import Annotated
 import typer
 
 from recon.calibration.calibration_file import read_calibration
+from recon.calibration.caliper import panel_check
 from rig import options
 from rig.calibrating import board_cli
 from rig.calibrating.response_step import DRIFT_MIN, RESPONSE_PREPARATIONS, measure_response
@@ -47,6 +48,30 @@ def check(
     for doubt in doubts:
         say(f"! {doubt}")
     say(f"{file}: fits this rig" + (f", with {len(doubts)} doubts" if doubts else ""))
+
+
+@app.command()
+def caliper(
+    file: Annotated[Path, typer.Argument(metavar="FILE", help="The calibration.json to check.")],
+    pixels: Annotated[float, typer.Option("--pixels", help="How many device pixels lie between the two places.")],
+    length_mm: Annotated[float, typer.Option("--mm", help="Their distance as the caliper says.")],
+    sd_mm: Annotated[float, typer.Option("--sd-mm", help="How well the caliper says it.")] = 0.05,
+) -> None:
+    """Check the scale with a known length: so many pixels of the display, measured with a caliper.
+
+    Exit 1 where the two lengths disagree by more than three standard deviations.
+    """
+    calibration = read_calibration(file)
+    check = panel_check(
+        calibration.display,
+        pixels,
+        pitch_sd_share=calibration.quality.pitch_sd_share or 0.0,
+        caliper_mm=length_mm,
+        caliper_sd_mm=sd_mm,
+    )
+    say(check.sentence())
+    if not check.agrees():
+        raise typer.Exit(1)
 
 
 @app.command()

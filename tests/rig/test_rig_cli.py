@@ -101,6 +101,7 @@ WRONG = [
         "--live belongs to simulated devices; add --sim, or set it in the section [live]",
     ),
     (("calibrate", "check", "none.json"), "none.json: no such calibration"),
+    (("calibrate", "caliper", "none.json", "--pixels", "10", "--mm", "1"), "none.json: no such calibration"),
     (("calibrate", "compute", "none"), "none: holds no photos of a board; begin with `rig calibrate run none`"),
     (
         ("calibrate", "camera", "c", "--sim", "--squares", "9by6"),

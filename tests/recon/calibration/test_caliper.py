@@ -3,10 +3,11 @@
 import numpy as np
 import pytest
 
-from recon.calibration.board import Board
-from recon.calibration.caliper import caliper_check, corner_check
+from recon.calibration.caliper import caliper_check, panel_check
 from recon.calibration.errors import CalibrationError
+from recon.sessions.manifest import DisplayPanel
 
+PANEL = DisplayPanel(columns=1024, rows=768, pitch_mm=0.1)
 A = ("left mark", np.array([0.0, 0.0, 0.0]))
 B = ("right mark", np.array([3.0, 4.0, 12.0]))  # 3² + 4² + 12² = 13²
 
@@ -33,9 +34,8 @@ def test_an_error_that_both_points_share_does_not_count() -> None:
     assert caliper_check(A, B, shared, caliper_mm=13.0, caliper_sd_mm=0.02).found_sd_mm == pytest.approx(0.0, abs=1e-9)
 
 
-def test_the_sides_of_a_boards_squares_follow_from_the_pitch() -> None:
-    board = Board(6, 5, 10.0)
-    check = corner_check(board, 0, 4, pitch_sd_share=0.001, caliper_mm=40.0, caliper_sd_mm=0.02)
+def test_a_stretch_of_the_panel_follows_from_the_pitch() -> None:
+    check = panel_check(PANEL, 400, pitch_sd_share=0.001, caliper_mm=40.0, caliper_sd_mm=0.02)
     assert check.found_mm == pytest.approx(40.0)
     assert check.found_sd_mm == pytest.approx(0.04)
 
@@ -46,6 +46,6 @@ def test_a_length_without_uncertainty_is_refused(length_mm: float, sd_mm: float)
         caliper_check(A, B, np.eye(6), caliper_mm=length_mm, caliper_sd_mm=sd_mm)
 
 
-def test_a_corner_that_the_board_has_not_is_refused() -> None:
-    with pytest.raises(CalibrationError, match="corners 0 to 19"):
-        corner_check(Board(6, 5, 10.0), 0, 20, pitch_sd_share=0.001, caliper_mm=1.0, caliper_sd_mm=0.02)
+def test_more_pixels_than_the_panel_has_are_refused() -> None:
+    with pytest.raises(CalibrationError, match="the display has 1 to 1024"):
+        panel_check(PANEL, 1025, pitch_sd_share=0.001, caliper_mm=1.0, caliper_sd_mm=0.02)
