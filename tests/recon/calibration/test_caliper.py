@@ -35,7 +35,7 @@ def test_an_error_that_both_points_share_does_not_count() -> None:
 
 
 def test_a_stretch_of_the_panel_follows_from_the_pitch() -> None:
-    check = panel_check(PANEL, 400, pitch_sd_share=0.001, caliper_mm=40.0, caliper_sd_mm=0.02)
+    check = panel_check(PANEL, 400.0, pitch_sd_share=0.001, caliper_mm=40.0, caliper_sd_mm=0.02)
     assert check.found_mm == pytest.approx(40.0)
     assert check.found_sd_mm == pytest.approx(0.04)
 
@@ -48,4 +48,4 @@ def test_a_length_without_uncertainty_is_refused(length_mm: float, sd_mm: float)
 
 def test_more_pixels_than_the_panel_has_are_refused() -> None:
     with pytest.raises(CalibrationError, match="the display has 1 to 1024"):
-        panel_check(PANEL, 1025, pitch_sd_share=0.001, caliper_mm=1.0, caliper_sd_mm=0.02)
+        panel_check(PANEL, 1025.0, pitch_sd_share=0.001, caliper_mm=1.0, caliper_sd_mm=0.02)
