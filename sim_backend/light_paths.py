@@ -11,6 +11,7 @@ from sim_backend.optics.pinhole import camera_directions
 from sim_backend.optics.screen import ScreenHits, hit_screen
 from sim_backend.optics.tracer import OpticalWorld, Paths, trace
 from sim_backend.scene import Scene, SceneCamera
+from sim_backend.scene_parts import Vector
 
 # Rays traced at once: their arrays stay in a core's cache.
 CHUNK_RAYS = 16384
@@ -54,24 +55,31 @@ def look(camera: SceneCamera, column: np.ndarray, row: np.ndarray) -> Float64[np
     )
 
 
-def pixel_centre_paths(scene: Scene, world: OpticalWorld) -> Paths:
-    """Trace one ray through the centre of each pixel, row by row."""
+def pixel_centre_paths(scene: Scene, world: OpticalWorld, *, object_shift_mm: Vector = (0.0, 0.0, 0.0)) -> Paths:
+    """Trace one ray through the centre of each pixel, row by row, in the frame of an object that was shifted."""
     row, column = np.indices((scene.camera.rows, scene.camera.columns)).reshape(2, -1).astype(np.float64)
     direction = look(scene.camera, column, row)
-    origin = np.broadcast_to(np.array(scene.camera.position_mm), direction.shape)
+    origin = np.broadcast_to(np.array(scene.camera.position_mm) - object_shift_mm, direction.shape)
     chunks = [slice(start, start + CHUNK_RAYS) for start in range(0, len(column), CHUNK_RAYS)]
     with ThreadPoolExecutor(os.cpu_count()) as pool:
         parts = list(pool.map(lambda part: trace(world, origin[part], direction[part]), chunks))
     return Paths(*(np.concatenate([getattr(part, name) for part in parts]) for name in Paths.__slots__))
 
 
-def trace_sub_rays(scene: Scene, world: OpticalWorld, *, object_shift_mm: tuple[float, float] = (0.0, 0.0)) -> SubRays:
+def last_pieces(scene: Scene, paths: Paths, *, object_shift_mm: Vector = (0.0, 0.0, 0.0)) -> SubRays:
+    """Return the last pieces of one path a pixel, back in the scene's frame where the object was shifted."""
+    kept = np.where(paths.trapped, 0.0, paths.transmission if scene.fresnel else 1.0).astype(np.float32)
+    origin = paths.origin + object_shift_mm
+    camera = scene.camera
+    return SubRays(camera.rows, camera.columns, origin, paths.direction, paths.n, kept, paths.route)
+
+
+def trace_sub_rays(scene: Scene, world: OpticalWorld, *, object_shift_mm: Vector = (0.0, 0.0, 0.0)) -> SubRays:
     """Trace ``supersampling`` by ``supersampling`` evenly placed rays in each pixel.
 
-    An object that was shifted along x and y is traced in its own frame, where the camera has moved the other way: the
-    liquid's level looks the same from there.
+    An object that was shifted is traced in its own frame, which is that of ``world``; there the camera has moved the other way.
     """
-    shift = np.array([*object_shift_mm, 0.0])
+    shift = np.array(object_shift_mm)
     camera = scene.camera
     fold = camera.supersampling
     fine_rows, fine_columns = camera.rows * fold, camera.columns * fold

@@ -13,6 +13,7 @@ import scipy.sparse as sp
 from jaxtyping import Float32, Float64
 
 from drivers.protocols import Frame
+from sim_backend.display_bubbles import through_display_bubbles
 from sim_backend.disturbance import QUIET, Disturbance, disturbed_scene, rippled
 from sim_backend.footprint import axis_matrix, image_light, light_of, patch_matrix
 from sim_backend.held_sheet import Directions, HeldSheet, sheet_light, straight_rays
@@ -167,6 +168,10 @@ class Photographer:
                 rays = self._traced(scene, wet, object_present, disturbance)
                 marks_moved = self.scene.marks is not None and self.scene.marks.fixed_to == "holder"
                 marks = mark_light(scene, shift_mm=disturbance.object_shift_mm if marks_moved else (0.0, 0.0))
+                if wet:
+                    rays = tuple(
+                        (weight, through_display_bubbles(scene, each, stage_position_mm)) for weight, each in rays
+                    )
                 colours = tuple((weight, screen_map(scene, each, stage_position_mm)) for weight, each in rays)
                 self._views[key] = View(colours, marks)
                 while len(self._views) > VIEWS_KEPT:
@@ -194,7 +199,8 @@ class Photographer:
         worlds = [
             (line.weight, scene.world(wet=wet, object_present=object_present, line=line)) for line in scene.spectrum()
         ]
-        shift_mm = disturbance.object_shift_mm
+        moved = scene.object_shift_mm(wet=wet and object_present)
+        shift_mm = (moved[0] + disturbance.object_shift_mm[0], moved[1] + disturbance.object_shift_mm[1], moved[2])
         return tuple((weight, trace_sub_rays(scene, world, object_shift_mm=shift_mm)) for weight, world in worlds)
 
     def _made(self, store: dict[Any, Any], key: object, make: Callable[[], Any]) -> Any:

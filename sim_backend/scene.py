@@ -16,7 +16,7 @@ from pydantic import Field, ValidationError, model_validator
 
 from sim_backend.optics.media import GLASSES, GREY_WEIGHT, PRIMARY_NM, IndexVariation, sellmeier_index, water_index
 from sim_backend.optics.screen import ScreenPose
-from sim_backend.optics.shapes import half_space
+from sim_backend.optics.shapes import half_space, sphere
 from sim_backend.optics.tracer import Body, OpticalWorld
 from sim_backend.scene_parts import (
     Finite,
@@ -30,6 +30,7 @@ from sim_backend.scene_parts import (
     SceneVariation,
     SuggestedStripe,
     Tank,
+    WhenFilled,
 )
 from sim_backend.specimens import Specimen
 
@@ -45,6 +46,7 @@ __all__ = [
     "SpectralLine",
     "SuggestedStripe",
     "Tank",
+    "WhenFilled",
     "load_scene",
     "scene_names",
 ]
@@ -83,6 +85,7 @@ class Scene(ScenePart):
     n_liquid: Index | None = None
     liquid: str = "water"
     liquid_level_mm: Finite | None = None
+    when_filled: WhenFilled | None = None
     fresnel: bool = True
     display: SceneDisplay
     stage_positions_mm: tuple[Finite, Finite]
@@ -115,6 +118,8 @@ class Scene(ScenePart):
     def _liquid_is_described(self) -> "Scene":
         if self.method == "liquid" and (self.n_liquid is None or self.liquid_level_mm is None):
             raise ValueError("method 'liquid' needs n_liquid and liquid_level_mm")
+        if self.method == "thin" and self.when_filled is not None:
+            raise ValueError("when_filled belongs to the method 'liquid': no tank is filled for a thin object")
         return self
 
     @model_validator(mode="after")
@@ -134,6 +139,14 @@ class Scene(ScenePart):
         centre = np.array(panel.centre_mm) + stage_position_mm * np.array(panel.stage_direction)
         return ScreenPose(centre, np.array(panel.x_axis), np.array(panel.y_axis))
 
+    def object_shift_mm(self, *, wet: bool) -> tuple[float, float, float]:
+        """Return how far filling the tank has moved the object."""
+        return self.when_filled.object_shift_mm if wet and self.when_filled is not None else (0.0, 0.0, 0.0)
+
+    def undisturbed(self) -> "Scene":
+        """Return the scene in which filling the tank changes nothing but the medium."""
+        return self.model_copy(update={"when_filled": None})
+
     def spectrum(self) -> tuple[SpectralLine, ...]:
         """Return the colours that a photo adds up; their weights sum to 1."""
         if self.glass is None or self.display.primary != "white":
@@ -148,15 +161,22 @@ class Scene(ScenePart):
     def world(self, *, wet: bool, object_present: bool = True, line: SpectralLine | None = None) -> OpticalWorld:
         """Return the bodies that light of one colour meets: liquid if ``wet``, then the object.
 
-        Without ``line``, the light is that of ``n_object`` and ``n_liquid``.
+        Without ``line``, the light is that of ``n_object`` and ``n_liquid``. The frame is the object's own: where filling the
+        tank has moved it (:meth:`object_shift_mm`), the liquid's level moves the other way.
         """
         colour = line or SpectralLine(1.0, self.n_object, self.n_liquid)
         bodies: tuple[Body, ...] = ()
         if wet:
             if colour.n_liquid is None or self.liquid_level_mm is None:
                 raise SceneError(f"scene {self.name!r} has no liquid, so it cannot be photographed wet")
-            surface = half_space((0, 0, self.liquid_level_mm), (0, 0, -1))
+            rise_mm = self.object_shift_mm(wet=True)[2] if object_present else 0.0
+            surface = half_space((0, 0, self.liquid_level_mm - rise_mm), (0, 0, -1))
             bodies += (Body(surface, colour.n_liquid, of_object=False),)
+            if self.when_filled is not None and object_present:
+                bodies += tuple(
+                    Body(sphere((x, y, z), radius), self.n_air, of_object=False)
+                    for x, y, z, radius in self.when_filled.bubbles_mm
+                )
         if object_present:
             bodies += self._pieces(colour.n_object)
         return OpticalWorld(bodies, self.n_air)

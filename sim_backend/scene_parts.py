@@ -111,6 +111,20 @@ class Tank(ScenePart):
     fill_ml: Positive = 4000.0
 
 
+class WhenFilled(ScenePart):
+    """What filling the tank changes beside the liquid, in the wet sets only; neither manifest nor truth know of it.
+
+    ``object_shift_mm`` (x, y, z) moves the object on its holder, as buoyancy does. ``bubbles_mm`` are balls of air that sit on
+    the object and move with it: centre where the object stands dry, and radius; what the object fills of a ball is glass.
+    ``display_bubbles_mm`` are balls that touch the display's glass and move with the stage: place along the panel's own x
+    and y from its middle, and radius.
+    """
+
+    object_shift_mm: Vector = (0.0, 0.0, 0.0)
+    bubbles_mm: tuple[tuple[Finite, Finite, Finite, Positive], ...] = ()
+    display_bubbles_mm: tuple[tuple[Finite, Finite, Positive], ...] = ()
+
+
 class SuggestedStripe(ScenePart):
     """The stripe that suits the scene, in device pixels."""
 

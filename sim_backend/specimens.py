@@ -62,6 +62,34 @@ class Hemisphere(SpecimenPart):
         return (Body(intersection(sphere((0, 0, 0), self.radius_mm), half_space((0, 0, 0), (0, 0, -1))), n_object),)
 
 
+class SlottedHemisphere(SpecimenPart):
+    """Half a ball with its flat face in the plane z = 0, sawn into from x > 0 as far as the axis.
+
+    The slot's faces are ``slot_mm`` apart, half-way between them z = ``slot_depth_mm`` on the axis; they rise by
+    ``slot_tilt_deg`` from the plane z = const. towards x > 0. It is open: air fills it dry and liquid when wet, so that light on
+    that side leaves the glass and enters it again.
+    """
+
+    kind: Literal["slotted_hemisphere"] = "slotted_hemisphere"
+    radius_mm: Length
+    slot_mm: Length
+    slot_depth_mm: Length
+    slot_tilt_deg: Annotated[float, Field(gt=-45, lt=45)] = 0.0
+
+    def bodies(self, *, n_object: float, n_air: float) -> tuple[Body, ...]:  # noqa: ARG002 - one signature
+        """Return the solid piece."""
+        dome = intersection(sphere((0, 0, 0), self.radius_mm), half_space((0, 0, 0), (0, 0, -1)))
+        tilt = np.radians(self.slot_tilt_deg)
+        across = np.array([-np.sin(tilt), 0.0, np.cos(tilt)])
+        middle = np.array([0.0, 0.0, self.slot_depth_mm])
+        slot = intersection(
+            half_space(middle + 0.5 * self.slot_mm * across, across),
+            half_space(middle - 0.5 * self.slot_mm * across, -across),
+            half_space((0, 0, 0), (-1, 0, 0)),
+        )
+        return (Body(difference(dome, slot), n_object),)
+
+
 class ThinCone(SpecimenPart):
     """A flat cone on the plane z = 0, its apex towards the display, padded by a cylinder on the camera side."""
 
@@ -190,6 +218,15 @@ def _barrel(radius_mm: float, height_mm: float) -> Solid:
 
 
 Specimen = Annotated[
-    SemiEllipsoid | ConcaveCone | Hemisphere | ThinCone | ThinShell | Ornament | Bottle | RoundPlate | FishPlate,
+    SemiEllipsoid
+    | ConcaveCone
+    | Hemisphere
+    | SlottedHemisphere
+    | ThinCone
+    | ThinShell
+    | Ornament
+    | Bottle
+    | RoundPlate
+    | FishPlate,
     Field(discriminator="kind"),
 ]

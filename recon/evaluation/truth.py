@@ -27,6 +27,7 @@ class TruthStatus(IntEnum):
     MISSES_OBJECT = 1
     LOST_INSIDE = 2
     OFF_PANEL = 3
+    RE_ENTERS = 4
 
 
 LIT = (TruthStatus.JUDGED, TruthStatus.MISSES_OBJECT)
@@ -47,8 +48,8 @@ class TruthComparison:
     """How a reconstruction does against truth.
 
     ``complete`` is the share of judged pixels with a point. ``false_points`` counts points at pixels whose path does not
-    reach the display in all four sets. ``normalised_rms`` is the rms of point errors over their own standard deviations,
-    1 where these are honest.
+    reach the display in all four sets, or has no one first entry point. ``normalised_rms`` is the rms of point errors over
+    their own standard deviations, 1 where these are honest.
     """
 
     judged: int

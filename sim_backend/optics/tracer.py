@@ -83,7 +83,8 @@ class Paths:
     ``origin``, ``direction``, ``n``: the last straight piece and the index it runs in. ``exit_point`` and
     ``exit_normal``: where the ray last left the object, the normal out of it (NaN for a ray that never touched it).
     ``transmission``: share of light kept. ``trapped``: still inside after all the boundaries that were allowed.
-    ``route``: equal for rays that met the same surfaces in the same order.
+    ``route``: equal for rays that met the same surfaces in the same order. ``exits``: how often the ray left the object, more
+    than once where it entered it again.
     """
 
     origin: Vectors
@@ -94,6 +95,7 @@ class Paths:
     transmission: Numbers
     trapped: Bool[np.ndarray, " rays"]
     route: Labels
+    exits: Labels
 
     def touched_object(self) -> Bool[np.ndarray, " rays"]:
         """Tell which rays passed through the object and left it."""
@@ -198,7 +200,7 @@ def trace(world: OpticalWorld, origin: Vectors, direction: Vectors, *, max_bound
     medium = media_at(world, origin)
     exit_point, exit_normal = np.full_like(origin, np.nan), np.full_like(origin, np.nan)
     transmission = np.ones(len(origin))
-    route = np.zeros(len(origin), np.int64)
+    route, exits = np.zeros(len(origin), np.int64), np.zeros(len(origin), np.int64)
     active = np.arange(len(origin))
     for _ in range(max_boundaries):
         if bends:
@@ -217,6 +219,7 @@ def trace(world: OpticalWorld, origin: Vectors, direction: Vectors, *, max_bound
         leaves_object = of_object[here] & ~of_object[beyond] & ~reflected
         exit_point[active[leaves_object]] = point[leaves_object]
         exit_normal[active[leaves_object]] = -normal[leaves_object]
+        exits[active] += leaves_object
         kept = fresnel_transmission(-np.einsum("ij,ij->i", incoming, normal), n_here, n_beyond)
         transmission[active] *= np.where(reflected, 1.0, kept)
         route[active] = (route[active] * 61 + 2 * surface + reflected + 1) % (1 << 40)
@@ -224,4 +227,5 @@ def trace(world: OpticalWorld, origin: Vectors, direction: Vectors, *, max_bound
         medium[active] = np.where(reflected, here, beyond)
     trapped = np.zeros(len(origin), bool)
     trapped[active] = True
-    return Paths(origin, direction, world.indices()[medium], exit_point, exit_normal, transmission, trapped, route)
+    n = world.indices()[medium]
+    return Paths(origin, direction, n, exit_point, exit_normal, transmission, trapped, route, exits)
