@@ -25,17 +25,18 @@ from recon.surface.ray_chords import (
     ScalarMap,
     VectorMap,
     chords_of,
-    contradiction,
     measured_pixels,
     rays_of,
 )
+from recon.surface.sheets import NORMAL_CONSISTENT_MAD, Sheets, contradiction, sheets_of
 from recon.surface.sparse_solver import solver
 
 ROUNDS = 3
 # Geman and McClure's loss (1987) with this width keeps 95 % of the efficiency of least squares for Gaussian noise.
 LOSS_WIDTH_SD = 3.787
-NORMAL_CONSISTENT_MAD = 1.4826
 START_WINDOW_PX = 5
+# A measured distance that far from the median about it is a surface that bends, not noise.
+START_SD = 3.0
 # Each round solves for a correction, which need not be known more closely than this share of itself.
 CORRECTION_TOLERANCE = 1e-5
 # Standard deviations are estimated from this many draws over this window: good to a tenth.
@@ -119,10 +120,10 @@ def fuse_on_rays(
     used = _usable(mask, origin_mm, direction, normal, normal_sd_rad, distance_mm, distance_sd_mm)
     graph = neighbours_of(used)
     rays = rays_of(origin_mm, direction, distance_mm, distance_sd_mm, normal, normal_sd_rad, used)
-    # The first guess is free of lone outliers, so that they and the jumps of depth are weighed down before they pull.
-    distance = _first_guess(distance_mm, distance_sd_mm, used)
+    sheets = sheets_of(chords_of(rays, graph, rays.measured_mm), graph, rays)
+    distance = _first_guess(rays, graph, sheets)
     chords = chords_of(rays, graph, distance)
-    pairs = _reweighted(contradiction(chords, graph, rays, distance))
+    pairs = _cut(_reweighted(contradiction(chords, graph, rays, distance)), sheets)
     positions = _position_weights(rays, distance)
     for _ in range(rounds if graph.pixels else 0):
         distance = _solve(graph, rays, chords, _system(graph, rays, chords, pairs, positions), distance)
@@ -131,7 +132,7 @@ def fuse_on_rays(
             told_mm = np.where(measured_pixels(distance_mm, distance_sd_mm), told_mm, np.nan)
             rays = rays_of(origin_mm, direction, told_mm, told_sd_mm, normal, normal_sd_rad, used)
         chords = chords_of(rays, graph, distance)
-        pairs = _reweighted(chords.residual(graph, distance) / np.sqrt(chords.variance))
+        pairs = _cut(_reweighted(chords.residual(graph, distance) / np.sqrt(chords.variance)), sheets)
         positions = _position_weights(rays, distance)
     errors = np.full((DRAWS, *used.shape), np.nan)
     if graph.pixels:
@@ -171,12 +172,20 @@ def _usable(
     return result
 
 
-def _first_guess(distance_mm: ScalarMap, distance_sd_mm: ScalarMap, used: Mask) -> PerPixel:
-    """Return a distance for every used pixel: a running median over a window, gaps filled from the nearest pixel."""
-    known = used & measured_pixels(distance_mm, distance_sd_mm)
-    nearest = distance_transform_edt(~known, return_distances=False, return_indices=True)
-    filled = distance_mm[tuple(nearest)]
-    return median_filter(filled, START_WINDOW_PX)[used]
+def _first_guess(rays: Rays, graph: Neighbours, sheets: Sheets) -> PerPixel:
+    """Return a distance for every pixel: a running median where it agrees with the measured one, else that one.
+
+    Outliers and pixels without a distance take the nearest one of the others, so that they do not pull in the first round.
+    """
+    sound = (rays.precision > 0) & ~sheets.outlier
+    if not sound.any():
+        sound = rays.precision > 0
+    measured = graph.on_grid(np.where(sound, rays.measured_mm, np.nan))
+    nearest = distance_transform_edt(np.isnan(measured), return_distances=False, return_indices=True)
+    filled = measured[tuple(nearest)]
+    median = median_filter(filled, START_WINDOW_PX)[graph.mask]
+    bends = np.abs(median - rays.measured_mm) * np.sqrt(rays.precision) > START_SD
+    return np.where(sound & bends, rays.measured_mm, median)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -258,6 +267,11 @@ def _window_sum(values: ScalarMap) -> ScalarMap:
     """Sum over a small window, term by term: a running sum would leave large values' rounding on small ones."""
     box = np.ones(DRAW_WINDOW_PX)
     return correlate1d(correlate1d(values, box, axis=0, mode="constant"), box, axis=1, mode="constant")
+
+
+def _cut(pairs: _Weights, sheets: Sheets) -> _Weights:
+    """Cut the pairs across which the depth jumps."""
+    return _Weights(np.where(sheets.jump, 0.0, pairs.weight), pairs.scale)
 
 
 def _position_weights(rays: Rays, distance: PerPixel) -> _Weights:

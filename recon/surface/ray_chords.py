@@ -133,10 +133,3 @@ def _bend(
 def _smallest_variance(rays: Rays) -> float:
     known = rays.precision > 0
     return SMALLEST_CHORD_SHARE**2 / float(np.median(rays.precision[known])) if known.any() else 1.0
-
-
-def contradiction(chords: Chords, graph: Neighbours, rays: Rays, distance: PerPixel) -> PerPair:
-    """Return by how many sd measured distances contradict a chord: large where depth jumps inside the mask."""
-    variance = np.divide(1.0, rays.precision, out=np.full(graph.pixels, np.inf), where=rays.precision > 0)
-    noise = chords.at_first**2 * variance[graph.first] + chords.at_second**2 * variance[graph.second]
-    return chords.residual(graph, distance) / np.sqrt(chords.variance + noise)

@@ -1,0 +1,93 @@
+"""Where each pixel looks, across the mean line of sight: smoothed as far as the paths' own noise explains the residuals."""
+
+from dataclasses import dataclass
+
+import numpy as np
+from jaxtyping import Float64
+from scipy.stats import chi2
+
+from recon.surface.ray_chords import Mask, ScalarMap, VectorMap
+from recon.surface.tiles import inside, tiles
+from recon.surface.window_quadratic import fit_windows
+
+# Half-widths of the windows that are tried, each only where the one before it held.
+HALF_WIDTHS_PX = (2, 4)
+# One in a thousand smooth windows is turned down for its noise.
+REJECTED_SHARE = 1e-3
+# No lateral place counts as more than this many times surer than the typical one: an sd may be too good to be true.
+SUREST = 20.0
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class LateralPlaces:
+    """Places across the mean line of sight [2, rows, cols], their variances, and the three axes (the last along the sight)."""
+
+    place_mm: Float64[np.ndarray, "2 rows cols"]
+    variance: Float64[np.ndarray, "2 rows cols"]
+    axes: Float64[np.ndarray, "3 3"]
+
+
+def lateral_places(
+    point_mm: VectorMap,
+    direction: VectorMap,
+    normal: VectorMap,
+    path_covariance: Float64[np.ndarray, "rows cols 3 3"],
+    used: Mask,
+) -> LateralPlaces:
+    """Smooth the places across the mean line of sight, over windows whose residuals are those of the paths' noise."""
+    sight = direction[used].mean(axis=0)
+    axes = frame_along(sight / np.linalg.norm(sight))
+    shift = along_surface(path_covariance[used], direction[used], normal[used])
+    measured = np.moveaxis(np.nan_to_num(point_mm) @ axes[:2].T, -1, 0)
+    variance = np.full((2, *used.shape), np.nan)
+    for axis in (0, 1):
+        own = np.einsum("i,pij,j->p", axes[axis], shift, axes[axis])
+        variance[axis][used] = np.maximum(own, np.median(own) / SUREST**2)
+    weight = np.where(used & (variance > 0), 1 / np.where(variance > 0, variance, 1.0), 0.0)
+    place, left = np.where(used, measured, np.nan), variance.copy()
+    for core, wide in tiles(used, border=max(HALF_WIDTHS_PX)):
+        inner = inside(core, wide)
+        rows, columns = _grid(wide)
+        for axis in (0, 1):
+            here, values = weight[axis][wide], measured[axis][wide]
+            if not here.any():
+                continue
+            centred = np.where(here > 0, values - np.average(values, weights=here), 0.0)
+            middle = values - centred
+            held = here > 0
+            for half_width in HALF_WIDTHS_PX:
+                fit = fit_windows(columns, rows, centred[None], here, half_width=half_width)
+                freedom = fit.count - 6
+                held &= (freedom >= 3) & (fit.misfit[0] < chi2.isf(REJECTED_SHARE, np.maximum(freedom, 1)))
+                found = (fit.value(columns, rows)[0] + middle)[inner]
+                spread = fit.value_variance(columns, rows)[inner]
+                better = held[inner] & (spread < left[axis][core])
+                place[axis][core] = np.where(better, found, place[axis][core])
+                left[axis][core] = np.where(better, spread, left[axis][core])
+    return LateralPlaces(place, left, axes)
+
+
+def along_surface(
+    covariance: Float64[np.ndarray, "pixels 3 3"],
+    direction: Float64[np.ndarray, "pixels 3"],
+    normal: Float64[np.ndarray, "pixels 3"],
+) -> Float64[np.ndarray, "pixels 3 3"]:
+    """Return the covariance of where a path meets the surface: a shift d moves it by d − V (n·d)/(n·V)."""
+    facing = (direction * normal).sum(axis=1)
+    facing = np.where(np.abs(facing) > 1e-3, facing, 1e-3)
+    slide = np.eye(3) - direction[:, :, None] * (normal / facing[:, None])[:, None, :]
+    return slide @ covariance @ np.swapaxes(slide, 1, 2)
+
+
+def _grid(wide: tuple[slice, slice]) -> tuple[ScalarMap, ScalarMap]:
+    """Return rows and columns of a tile about its middle, in units of a window."""
+    rows, columns = np.indices([part.stop - part.start for part in wide]).astype(np.float64)
+    return (rows - rows.mean()) / 4, (columns - columns.mean()) / 4
+
+
+def frame_along(along: Float64[np.ndarray, " 3"]) -> Float64[np.ndarray, "3 3"]:
+    """Return a frame as rows, the last of them ``along``."""
+    helper = np.eye(3)[np.argmin(np.abs(along))]
+    first = np.cross(helper, along)
+    first /= np.linalg.norm(first)
+    return np.stack([first, np.cross(along, first), along])

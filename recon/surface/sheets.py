@@ -1,0 +1,53 @@
+"""Which neighbours the measurements hold together: depth jumps where they say so, and pixels that stand against all others.
+
+Two neighbours whose triangulated distances contradict the tangent plane that their normals span, by far more than the
+noise of all four, do not lie on one smooth surface. What is left connected are sheets. A few pixels that agree with none
+of those about them are not a sheet but outliers.
+"""
+
+from dataclasses import dataclass
+
+import numpy as np
+from jaxtyping import Bool
+
+from recon.surface.neighbours import Neighbours, components
+from recon.surface.ray_chords import Chords, PerPair, PerPixel, Rays
+
+# Gaussian noise contradicts itself by so many sd once in two million pairs.
+JUMP_SD = 5.0
+# Fewer pixels than fit a window of 3 × 3 cannot show that they are a surface.
+SMALLEST_SHEET_PX = 9
+NORMAL_CONSISTENT_MAD = 1.4826
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Sheets:
+    """The pairs that join two sheets (``jump``), and the pixels of a connected part that belong to none of its sheets."""
+
+    jump: Bool[np.ndarray, " pairs"]
+    outlier: Bool[np.ndarray, " pixels"]
+
+
+def sheets_of(chords: Chords, graph: Neighbours, rays: Rays) -> Sheets:
+    """Part the pixels into sheets by their own measurements; ``chords`` are those for a surface at these.
+
+    A pixel without a distance of its own contradicts nobody.
+    """
+    measured = rays.precision > 0
+    known = measured[graph.first] & measured[graph.second]
+    against = np.abs(contradiction(chords, graph, rays, rays.measured_mm))
+    # Standard deviations that promise too much everywhere are no reason to cut.
+    typical = NORMAL_CONSISTENT_MAD * float(np.median(against[known])) if known.any() else 1.0
+    apart = known & (against > JUMP_SD * max(1.0, typical))
+    sheet = components(graph.pixels, graph.first[~apart], graph.second[~apart])
+    small = np.bincount(sheet)[sheet] < SMALLEST_SHEET_PX
+    part = components(graph.pixels, graph.first, graph.second)
+    outlier = small & (np.bincount(part, ~small)[part] > 0)
+    return Sheets(jump=apart & ~outlier[graph.first] & ~outlier[graph.second], outlier=outlier)
+
+
+def contradiction(chords: Chords, graph: Neighbours, rays: Rays, distance: PerPixel) -> PerPair:
+    """Return by how many sd, with those of the measured distances, a surface at ``distance`` leaves each chord's plane."""
+    variance = np.divide(1.0, rays.precision, out=np.full(graph.pixels, np.inf), where=rays.precision > 0)
+    noise = chords.at_first**2 * variance[graph.first] + chords.at_second**2 * variance[graph.second]
+    return chords.residual(graph, distance) / np.sqrt(chords.variance + noise)
