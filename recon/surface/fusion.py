@@ -34,6 +34,8 @@ from recon.surface.sparse_solver import solver
 ROUNDS = 3
 # Geman and McClure's loss (1987) with this width keeps 95 % of the efficiency of least squares for Gaussian noise.
 LOSS_WIDTH_SD = 3.787
+# What a measurement that stands against all others still counts, so that a part where all do stays where they are.
+LEAST_WEIGHT = 1e-9
 START_WINDOW_PX = 5
 # A measured distance that far from the median about it is a surface that bends, not noise.
 START_SD = 3.0
@@ -288,4 +290,5 @@ def _reweighted(normalised: np.ndarray) -> _Weights:
     if not len(normalised):
         return _Weights(np.ones(0), 1.0)
     scale = max(1.0, NORMAL_CONSISTENT_MAD * float(np.median(np.abs(normalised))))
-    return _Weights((1 + (normalised / (LOSS_WIDTH_SD * scale)) ** 2) ** -2, scale)
+    weight = (1 + (normalised / (LOSS_WIDTH_SD * scale)) ** 2) ** -2
+    return _Weights(np.maximum(weight, LEAST_WEIGHT), scale)

@@ -1,7 +1,7 @@
 """Which neighbours the measurements hold together: depth jumps where they say so, and pixels that stand against all others.
 
-Two neighbours whose triangulated distances contradict the tangent plane that their normals span, by far more than the
-noise of all four, do not lie on one smooth surface. What is left connected are sheets. A few pixels that agree with none
+Two neighbours whose chord lies outside both their tangent planes, by far more than the noise of distances and normals, do
+not lie on one surface. What is left connected are sheets. A few pixels that agree with none
 of those about them are not a sheet but outliers.
 """
 
@@ -35,7 +35,11 @@ def sheets_of(chords: Chords, graph: Neighbours, rays: Rays) -> Sheets:
     """
     measured = rays.precision > 0
     known = measured[graph.first] & measured[graph.second]
-    against = np.abs(contradiction(chords, graph, rays, rays.measured_mm))
+    # On a smooth surface, and across a crease, a chord lies between the tangent planes of its two ends.
+    turn = rays.normal[graph.second] - rays.normal[graph.first]
+    between = 0.5 * np.abs((turn * chords.chord_mm).sum(axis=1))
+    beyond = np.abs(chords.residual(graph, rays.measured_mm)) - between
+    against = np.maximum(beyond, 0.0) / _noise_sd(chords, graph, rays)
     # Standard deviations that promise too much everywhere are no reason to cut.
     typical = NORMAL_CONSISTENT_MAD * float(np.median(against[known])) if known.any() else 1.0
     apart = known & (against > JUMP_SD * max(1.0, typical))
@@ -48,6 +52,10 @@ def sheets_of(chords: Chords, graph: Neighbours, rays: Rays) -> Sheets:
 
 def contradiction(chords: Chords, graph: Neighbours, rays: Rays, distance: PerPixel) -> PerPair:
     """Return by how many sd, with those of the measured distances, a surface at ``distance`` leaves each chord's plane."""
+    return chords.residual(graph, distance) / _noise_sd(chords, graph, rays)
+
+
+def _noise_sd(chords: Chords, graph: Neighbours, rays: Rays) -> PerPair:
     variance = np.divide(1.0, rays.precision, out=np.full(graph.pixels, np.inf), where=rays.precision > 0)
     noise = chords.at_first**2 * variance[graph.first] + chords.at_second**2 * variance[graph.second]
-    return chords.residual(graph, distance) / np.sqrt(chords.variance + noise)
+    return np.sqrt(chords.variance + noise)
