@@ -1,5 +1,6 @@
 """Every experiment, in the order of the paper; then our own."""
 
+from recon.study.assumptions_study import assumptions
 from recon.study.correspondence_study import correspondence
 from recon.study.experiment import Experiment
 from recon.study.noise_studies import noise_by_baseline, noise_by_index
@@ -19,4 +20,5 @@ EXPERIMENTS = (
     Experiment("bottle", "Twin of the bottle", bottle),
     Experiment("plates", "Twins of the thin glass plates", plates),
     Experiment("correspondence", "Correspondence against its bound", correspondence),
+    Experiment("assumptions", "Wrong assumptions", assumptions),
 )
