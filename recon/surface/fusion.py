@@ -43,12 +43,13 @@ START_SD = 3.0
 CORRECTION_TOLERANCE = 1e-5
 # Standard deviations are estimated from this many draws over this window: good to a tenth.
 DRAWS = 6
-DRAW_WINDOW_PX = 5
+DRAW_WINDOW_PX = 9
 DRAW_TOLERANCE = 1e-3
 DRAW_SEED = 20180601
 
-# Draws one error of every pixel's distance [rows, cols] and normal [rows, cols, 3] from the noise of its measurement.
-NoiseDraw = Callable[[np.random.Generator], tuple[ScalarMap, VectorMap]]
+# Draws one error of every pixel's distance [rows, cols] and normal [rows, cols, 3] from the noise of its measurement, for a
+# surface at the distances given.
+NoiseDraw = Callable[[np.random.Generator, ScalarMap], tuple[ScalarMap, VectorMap]]
 # Reads the measured distances and their standard deviations again, for a surface near the distances given.
 Remeasure = Callable[[ScalarMap], tuple[ScalarMap, ScalarMap]]
 
@@ -131,7 +132,8 @@ def fuse_on_rays(
         distance = _solve(graph, rays, chords, _system(graph, rays, chords, pairs, positions), distance)
         if remeasure is not None:
             told_mm, told_sd_mm = remeasure(graph.on_grid(distance))
-            told_mm = np.where(measured_pixels(distance_mm, distance_sd_mm), told_mm, np.nan)
+            told = measured_pixels(told_mm, told_sd_mm)
+            told_mm, told_sd_mm = np.where(told, told_mm, distance_mm), np.where(told, told_sd_mm, distance_sd_mm)
             rays = rays_of(origin_mm, direction, told_mm, told_sd_mm, normal, normal_sd_rad, used)
         chords = chords_of(rays, graph, distance)
         pairs = _cut(_reweighted(chords.residual(graph, distance) / np.sqrt(chords.variance)), sheets)
@@ -140,7 +142,7 @@ def fuse_on_rays(
     if graph.pixels:
         last = _system(graph, rays, chords, pairs, positions)
         scales = (positions.scale, pairs.scale)
-        errors[:, used] = _errors(graph, rays, chords, last, noise or _independent(rays, graph), scales=scales)
+        errors[:, used] = _errors(graph, rays, chords, last, noise or _independent(rays, graph), distance, scales)
     point = np.full(origin_mm.shape, np.nan)
     point[used] = rays.origin + distance[:, None] * rays.direction
     return FusedSurface(
@@ -224,7 +226,7 @@ def _errors(
     chords: Chords,
     system: _System,
     noise: NoiseDraw,
-    *,
+    distance: PerPixel,
     scales: tuple[float, float],
 ) -> Float64[np.ndarray, "draws pixels"]:
     """Return what draws of the measurements' noise do to the distances, through the very equations that were solved.
@@ -236,7 +238,7 @@ def _errors(
     solve = solver(system.matrix, relative_tolerance=DRAW_TOLERANCE)
     errors = np.empty((DRAWS, graph.pixels))
     for draw in errors:
-        distance_error, normal_error = noise(rng)
+        distance_error, normal_error = noise(rng, graph.on_grid(distance))
         tilt = scales[1] * normal_error[graph.mask]
         per_chord = 0.5 * ((tilt[graph.first] + tilt[graph.second]) * chords.chord_mm).sum(axis=1)
         shift = np.where(rays.precision > 0, scales[0] * distance_error[graph.mask], 0.0)
@@ -248,7 +250,7 @@ def _errors(
 def _independent(rays: Rays, graph: Neighbours) -> NoiseDraw:
     """Return draws of distances and normals that know nothing of each other, from the standard deviations alone."""
 
-    def draw(rng: np.random.Generator) -> tuple[ScalarMap, VectorMap]:
+    def draw(rng: np.random.Generator, _distance_mm: ScalarMap) -> tuple[ScalarMap, VectorMap]:
         tilt = np.sqrt(rays.tilt_variance)[:, None] * rng.standard_normal(rays.normal.shape)
         normal_error = np.zeros((*graph.mask.shape, 3))
         normal_error[graph.mask] = tilt - (tilt * rays.normal).sum(axis=1, keepdims=True) * rays.normal

@@ -72,11 +72,17 @@ class Patch:
 
 
 def patch_of(
-    fit: WindowFit, place: Sight, mask: Mask, before: Float64[np.ndarray, "2 fields rows cols"]
+    fit: WindowFit,
+    place: Sight,
+    mask: Mask,
+    before: Float64[np.ndarray, "2 fields rows cols"],
+    *,
+    whole_bias: float,
 ) -> tuple[Patch, Float64[np.ndarray, "2 fields rows cols"]]:
     """Let each pixel's line of sight meet its polynomial, and carry the draws and the lateral place's sd along.
 
-    ``before`` are the slopes of the next smaller window; those of this one are returned for the next larger.
+    ``before`` are the slopes of the next smaller window; those of this one are returned for the next larger. ``whole_bias`` is
+    how much larger the bias of this window is than its difference from the smaller one's (:func:`whole_bias`).
     """
     sight = place.sight
     along = np.zeros(mask.shape)
@@ -105,7 +111,7 @@ def patch_of(
     tilts = np.sqrt(_tilt_squared(slopes[0][1:], slopes[1][1:], normal, length))
     lifted = standard_deviation(height[1:], mask) / length
     now = np.stack(slopes)
-    bias_squared = _bias_squared(now - before, mask, normal, length)
+    bias_squared = whole_bias**2 * _bias_squared(now - before, mask, normal, length)
     patch = Patch(
         point=point,
         normal=normal,
@@ -114,6 +120,15 @@ def patch_of(
         normal_sd=np.sqrt(turn_variance + standard_deviation(tilts, mask) ** 2 + bias_squared),
     )
     return patch, now
+
+
+def whole_bias(half_width: int, smaller: int) -> float:
+    """Return a window's bias over what it differs by from that of a smaller window (0: the pixel's own normal, without bias).
+
+    A cubic term c p³ gives the slope of the best quadratic polynomial over −h … h the bias c Σp⁴/Σp² = c (3h² + 3h − 1)/5.
+    """
+    bias = (3 * half_width**2 + 3 * half_width - 1) / 5
+    return bias / (bias - ((3 * smaller**2 + 3 * smaller - 1) / 5 if smaller else 0.0))
 
 
 def _bias_squared(

@@ -9,27 +9,34 @@ from dataclasses import dataclass
 
 import cv2
 import numpy as np
-from jaxtyping import Float64
+from jaxtyping import Bool, Float64
 
 from recon.geometry.entry_point import EntryPoints
 from recon.geometry.light_paths import LightPaths
 
 PerPath = Float64[np.ndarray, " pixels"]
+Vectors = Float64[np.ndarray, "pixels 3"]
 
 # So many pixels across are averaged for an angle, noise of which is then a ninth.
 ANGLE_WINDOW_PX = 9
 # A mean counts where it is neither less than this share of the pixel's own nor more than its inverse.
 LEAST_ALIKE = 0.7
+# Or where noise alone sets the two so far apart.
+NOISE_SD = 4.0
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class PathCrossing:
-    """Two paths for each of some pixels of the camera's grid, with the mean of U×V over the pixels about each."""
+    """Two paths for each of some pixels of the camera's grid, with the mean of U×V over the pixels about each.
+
+    ``mean_sd`` is the standard deviation of that mean's length.
+    """
 
     liquid: LightPaths
     air: LightPaths
     points: EntryPoints
     mean_cross: Float64[np.ndarray, "pixels 3"]
+    mean_sd: PerPath
 
     @classmethod
     def of(
@@ -51,31 +58,47 @@ class PathCrossing:
         total = cv2.boxFilter(
             grid.reshape(*shape, 4), cv2.CV_64F, window, normalize=False, borderType=cv2.BORDER_CONSTANT
         )
-        here = total.reshape(-1, 4)[pixels]
-        mean = here[:, :3] / np.maximum(here[:, 3:], 1.0)
+        # Without the pixel itself: its own noise would bias the weight of its own crossing.
+        others = total.reshape(-1, 4)[pixels] - grid[pixels]
+        mean = others[:, :3] / np.maximum(others[:, 3:], 1.0)
         # Across an edge the mean belongs to neither side.
-        share = (own * mean).sum(axis=1)
-        alike = (share > LEAST_ALIKE * (own**2).sum(axis=1)) & (LEAST_ALIKE * share < (own**2).sum(axis=1))
-        return cls(liquid, air, points, np.where(alike[:, None], mean, own))
+        share, squared = (own * mean).sum(axis=1), (own**2).sum(axis=1)
+        alike = (share > LEAST_ALIKE * squared) & (LEAST_ALIKE * share < squared)
+        alike |= ((own - mean) ** 2).sum(axis=1) < (NOISE_SD * points.angle_sd_rad) ** 2
+        alike &= others[:, 3] > 0
+        sd = points.angle_sd_rad / np.sqrt(np.where(alike, np.maximum(others[:, 3], 1.0), 1.0))
+        return cls(liquid, air, points, np.where(alike[:, None], mean, own), sd)
 
-    def ratio(self) -> PerPath:
-        """Return the sine of each pixel's own angle over that of the mean one."""
-        cross = np.cross(self.liquid.direction, self.air.direction)
-        with np.errstate(divide="ignore", invalid="ignore"):
-            return np.linalg.norm(cross, axis=1) / np.linalg.norm(self.mean_cross, axis=1)
+    def readable(self, *, angle_sigma: float) -> Bool[np.ndarray, " pixels"]:
+        """Return the pixels whose mean angle is at least that many of its own standard deviations.
+
+        A pixel's own angle would let through those that noise makes larger, and with them crossings that are too near.
+        """
+        return np.linalg.norm(self.mean_cross, axis=1) > angle_sigma * self.mean_sd
 
     def measured_near(self, distance_mm: PerPath) -> tuple[PerPath, PerPath]:
         """Return the distance along the liquid path that each crossing tells, and its sd, for a surface near ``distance_mm``.
 
-        At that distance the air path passes the liquid path by (t − t̂) sin θ; by the mean angle, that many mm are still to go.
+        At that distance the air path passes the liquid path within the mean plane of both; by the mean angle, that many mm are
+        still to go. This is linear in the paths' noise, which therefore does not bias it.
         """
-        sine = np.linalg.norm(self.mean_cross, axis=1)
         with np.errstate(divide="ignore", invalid="ignore"):
-            common = self.mean_cross / sine[:, None]
-            told = distance_mm - (distance_mm - self.points.distance_liquid_mm) * self.ratio()
-            along_air = ((self.liquid.point_at(distance_mm) - self.air.near_mm) * self.air.direction).sum(axis=1)
-            across = np.cross(self.air.direction, common)
+            told = distance_mm + self.by_shift(self.liquid.point_at(distance_mm) - self.air.near_mm)
+            sine = np.linalg.norm(self.mean_cross, axis=1)
+            across = np.cross(self.air.direction, self.mean_cross / sine[:, None])
             variance = np.zeros(len(sine))
+            along_air = self.along_air(distance_mm)
             for covariance in (self.liquid.covariance_at(distance_mm), self.air.covariance_at(along_air)):
                 variance += np.einsum("pi,pij,pj->p", across, covariance, across)
             return told, np.sqrt(variance) / sine
+
+    def by_shift(self, apart_mm: Vectors) -> PerPath:
+        """Return how far along the liquid path the crossing lies from where that path is this far from a place on the other."""
+        with np.errstate(divide="ignore", invalid="ignore"):
+            return -(np.cross(apart_mm, self.air.direction) * self.mean_cross).sum(axis=1) / (self.mean_cross**2).sum(
+                axis=1
+            )
+
+    def along_air(self, distance_mm: PerPath) -> PerPath:
+        """Return where on the air path its nearest place to the liquid path's at ``distance_mm`` is."""
+        return ((self.liquid.point_at(distance_mm) - self.air.near_mm) * self.air.direction).sum(axis=1)

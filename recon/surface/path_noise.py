@@ -5,41 +5,37 @@ from dataclasses import dataclass
 import numpy as np
 from jaxtyping import Float64
 
-from recon.geometry.entry_point import EntryPoints
 from recon.geometry.light_paths import LightPaths
 
 Vectors = Float64[np.ndarray, "pixels 3"]
+PerPath = Float64[np.ndarray, " pixels"]
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class PathNoise:
-    """Two paths a pixel with the noise of their display points, and what is made of them."""
+    """Two paths a pixel with the noise of their display points, and the normal that is made of them."""
 
     liquid: LightPaths
     air: LightPaths
-    points: EntryPoints
     normal: Vectors
     n_liquid: float
     n_air: float
 
-    def draw(self, rng: np.random.Generator) -> tuple[Float64[np.ndarray, " pixels"], Vectors]:
-        """Draw one error of the distance along the liquid path (NaN for parallel paths) and of the normal.
+    def draw(
+        self, rng: np.random.Generator, *, along_liquid_mm: PerPath, along_air_mm: PerPath
+    ) -> tuple[Vectors, Vectors, Vectors]:
+        """Draw one shift of the liquid path and of the air path, at these distances along them, and one error of the normal.
 
-        Both come from the same eight numbers. A shift d of the liquid path at the crossing moves the crossing along it by
-        −(d × V)·c / sin, with c = U×V / |U×V|; one of the air path by as much the other way.
+        All come from the same eight numbers.
         """
         u, v = self.liquid.direction, self.air.direction
-        shift_liquid, turn_liquid = _path_error(self.liquid, self.points.distance_liquid_mm, rng)
-        shift_air, turn_air = _path_error(self.air, self.points.distance_air_mm, rng)
-        cross = np.cross(u, v)
-        sine_squared = (cross**2).sum(axis=1)
-        with np.errstate(divide="ignore", invalid="ignore"):
-            distance_error = (np.cross(shift_air - shift_liquid, v) * cross).sum(axis=1) / sine_squared
+        shift_liquid, turn_liquid = _path_error(self.liquid, along_liquid_mm, rng)
+        shift_air, turn_air = _path_error(self.air, along_air_mm, rng)
         along = self.n_liquid * u - self.n_air * v
         # The normal is ± this difference over its length; only what is at right angles to it turns it.
         signed_length = (along * self.normal).sum(axis=1, keepdims=True)
         change = (self.n_liquid * turn_liquid - self.n_air * turn_air) / signed_length
-        return distance_error, change - (change * self.normal).sum(axis=1, keepdims=True) * self.normal
+        return shift_liquid, shift_air, change - (change * self.normal).sum(axis=1, keepdims=True) * self.normal
 
 
 def _path_error(

@@ -7,12 +7,13 @@ creases, steps and ripples stay.
 """
 
 from dataclasses import dataclass
+from itertools import pairwise
 
 import numpy as np
 from jaxtyping import Float64, UInt8
 
 from recon.surface.fusion import FusedSurface
-from recon.surface.height_patch import Patch, Sight, against_own_normals, like_noise, own_slopes, patch_of
+from recon.surface.height_patch import Patch, Sight, against_own_normals, like_noise, own_slopes, patch_of, whole_bias
 from recon.surface.lateral_places import LateralPlaces, along_surface, frame_along, lateral_places
 from recon.surface.ray_chords import Mask, ScalarMap, VectorMap
 from recon.surface.tiles import inside, tiles
@@ -124,10 +125,10 @@ def _refine_tile(
     held = fit_here.copy()
     tilted = normal[wide] @ frame.T
     before = own_slopes(tilted, fit_here, draws=len(errors))
-    for half_width in HALF_WIDTHS_PX:
+    for smaller, half_width in pairwise((0, *HALF_WIDTHS_PX)):
         fit = fit_windows(local[..., 0], local[..., 1], fields, weight, half_width=half_width)
         held &= like_noise(fit, fit_here)
-        patch, before = patch_of(fit, place, fit_here, before)
+        patch, before = patch_of(fit, place, fit_here, before, whole_bias=whole_bias(half_width, smaller))
         held &= ~against_own_normals(patch.normal, tilted, normal_sd_rad[wide] * fused.normal_scale)
         _take_over(result, patch, held, core, wide, half_width, place)
 

@@ -3,7 +3,6 @@
 from dataclasses import dataclass, replace
 
 import numpy as np
-from jaxtyping import Float64
 
 from recon.geometry.sight import sight_rays
 from recon.maps import Maps, Support
@@ -13,8 +12,7 @@ from recon.status import PixelStatus
 from recon.surface.fusion import fuse_on_rays
 from recon.surface.integration import integrate_perspective
 from recon.surface.mesh import Mesh, mesh_from_point_map
-from recon.surface.path_crossing import PathCrossing
-from recon.surface.path_noise import PathNoise
+from recon.surface.path_measurement import PathMeasurement
 from recon.surface.refinement import refine_surface
 from recon.sweeps.correspondence import Method
 
@@ -66,29 +64,11 @@ def fused_surface(maps: Maps, crossing: Crossing, *, n_liquid: float, n_air: flo
     has_point = crossing.status == PixelStatus.OK
     liquid, points = crossing.liquid, crossing.points
     along_sd = np.sqrt(np.einsum("pi,pij,pj->p", liquid.direction, points.covariance, liquid.direction))
-
-    def on_grid(values: np.ndarray, where: np.ndarray) -> Float64[np.ndarray, "..."]:
-        grid = np.full((maps.status.size, *values.shape[1:]), np.nan)
-        grid[crossing.pixels[where]] = values[where]
-        return grid.reshape(*shape, *values.shape[1:])
-
-    paths = PathNoise(liquid, crossing.air, points, crossing.normal, n_liquid, n_air)
-
-    reading = PathCrossing.of(
-        liquid, crossing.air, points, pixels=crossing.pixels, used=surface_pixel, shape=(shape[0], shape[1])
-    )
-
-    def remeasure(distance_mm: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        told_mm, sd_mm = reading.measured_near(distance_mm.ravel()[crossing.pixels])
-        return on_grid(told_mm, has_point), on_grid(sd_mm, has_point)
-
-    def noise(rng: np.random.Generator) -> tuple[np.ndarray, np.ndarray]:
-        distance_error, normal_error = paths.draw(rng)
-        return on_grid(distance_error * reading.ratio(), has_point), on_grid(normal_error, surface_pixel)
-
+    paths = PathMeasurement.of(crossing, surface_pixel, shape=(shape[0], shape[1]), n_liquid=n_liquid, n_air=n_air)
+    on_grid = paths.on_grid
     direction = on_grid(liquid.direction, surface_pixel)
-    normal = on_grid(crossing.normal, surface_pixel)
     normal_sd_rad = on_grid(crossing.normal_sd_rad, surface_pixel)
+    normal = paths.normal_map
     fused = fuse_on_rays(
         on_grid(liquid.near_mm, surface_pixel),
         direction,
@@ -97,8 +77,8 @@ def fused_surface(maps: Maps, crossing: Crossing, *, n_liquid: float, n_air: flo
         normal,
         normal_sd_rad,
         np.isfinite(normal).all(axis=2),
-        remeasure=remeasure,
-        noise=noise,
+        remeasure=paths.remeasure,
+        noise=paths.noise,
     )
     distance = np.nan_to_num(fused.distance_mm.ravel()[crossing.pixels])
     refined = refine_surface(

@@ -1,0 +1,100 @@
+"""The two light paths of every pixel as the measurements that fusion asks for, near a surface that is roughly known."""
+
+from dataclasses import dataclass
+
+import numpy as np
+from jaxtyping import Bool, Float64, Int
+
+from recon.reconstruct import Crossing, Limits
+from recon.surface.curvature import curvature_of
+from recon.surface.lateral_places import along_surface
+from recon.surface.path_crossing import PathCrossing
+from recon.surface.path_noise import PathNoise
+from recon.surface.ray_chords import ScalarMap, VectorMap
+
+PerPath = Float64[np.ndarray, " pixels"]
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class PathMeasurement:
+    """Crossing and noise of the paths of ``pixels``, which number the grid of ``shape`` row by row.
+
+    ``surface_pixel`` marks those whose normal counts, ``readable`` those whose crossing does too; ``facing`` is the cosine
+    between liquid path and normal.
+    """
+
+    crossing: PathCrossing
+    paths: PathNoise
+    pixels: Int[np.ndarray, " pixels"]
+    surface_pixel: Bool[np.ndarray, " pixels"]
+    readable: Bool[np.ndarray, " pixels"]
+    facing: PerPath
+    normal_map: VectorMap
+    shape: tuple[int, int]
+
+    @classmethod
+    def of(
+        cls,
+        crossing: Crossing,
+        surface_pixel: Bool[np.ndarray, " pixels"],
+        *,
+        shape: tuple[int, int],
+        n_liquid: float,
+        n_air: float,
+    ) -> "PathMeasurement":
+        """Prepare to measure by the paths of all pixels that were crossed."""
+        liquid, normal, pixels = crossing.liquid, crossing.normal, crossing.pixels
+        reading = PathCrossing.of(liquid, crossing.air, crossing.points, pixels=pixels, used=surface_pixel, shape=shape)
+        return cls(
+            crossing=reading,
+            paths=PathNoise(liquid, crossing.air, normal, n_liquid, n_air),
+            pixels=pixels,
+            surface_pixel=surface_pixel,
+            readable=surface_pixel & reading.readable(angle_sigma=Limits().angle_sigma),
+            facing=np.maximum(-(liquid.direction * normal).sum(axis=1), 1e-3),
+            normal_map=_spread(normal, surface_pixel, pixels, shape),
+            shape=shape,
+        )
+
+    def on_grid(self, values: np.ndarray, where: Bool[np.ndarray, " pixels"]) -> Float64[np.ndarray, "..."]:
+        """Lay values out on the camera grid; NaN elsewhere."""
+        return _spread(values, where, self.pixels, self.shape)
+
+    def remeasure(self, distance_mm: ScalarMap) -> tuple[ScalarMap, ScalarMap]:
+        """Return the distances along the liquid paths that the crossings tell near ``distance_mm``, and their sds.
+
+        A crossing scatters about the tangent plane, but the liquid path meets the surface below it: by half the curvature times
+        the path's squared shift along the surface. That correction is no surer than itself.
+        """
+        along, liquid = distance_mm.ravel()[self.pixels], self.paths.liquid
+        told_mm, sd_mm = self.crossing.measured_near(along)
+        slide = along_surface(liquid.covariance_at(along), liquid.direction, self.paths.normal)
+        below_mm = 0.5 * np.einsum("pij,pij->p", self._curvature(along), slide) / self.facing
+        return self.on_grid(told_mm + below_mm, self.readable), self.on_grid(np.hypot(sd_mm, below_mm), self.readable)
+
+    def noise(self, rng: np.random.Generator, distance_mm: ScalarMap) -> tuple[ScalarMap, VectorMap]:
+        """Draw the errors of distances and normals on a surface at ``distance_mm``.
+
+        The surface is sought where the shifted liquid path meets it, and its normal is another one there.
+        """
+        along, direction = distance_mm.ravel()[self.pixels], self.paths.liquid.direction
+        liquid_mm, air_mm, normal_error = self.paths.draw(
+            rng, along_liquid_mm=along, along_air_mm=self.crossing.along_air(along)
+        )
+        slide = liquid_mm + ((liquid_mm * self.paths.normal).sum(axis=1) / self.facing)[:, None] * direction
+        there = np.einsum("pij,pj->pi", self._curvature(along), slide)
+        distance_error = self.crossing.by_shift(liquid_mm - air_mm)
+        return self.on_grid(distance_error, self.readable), self.on_grid(normal_error - there, self.surface_pixel)
+
+    def _curvature(self, along_mm: PerPath) -> Float64[np.ndarray, "pixels 3 3"]:
+        point_mm = self.on_grid(self.paths.liquid.point_at(along_mm), self.surface_pixel)
+        used = np.isfinite(point_mm).all(axis=2) & np.isfinite(self.normal_map).all(axis=2)
+        return curvature_of(point_mm, self.normal_map, used).reshape(-1, 3, 3)[self.pixels]
+
+
+def _spread(
+    values: np.ndarray, where: Bool[np.ndarray, " pixels"], pixels: Int[np.ndarray, " pixels"], shape: tuple[int, int]
+) -> Float64[np.ndarray, "..."]:
+    grid = np.full((shape[0] * shape[1], *values.shape[1:]), np.nan)
+    grid[pixels[where]] = values[where]
+    return grid.reshape(*shape, *values.shape[1:])
