@@ -6,20 +6,14 @@ Every object stands in the scene's frame: x right, y down, z away from the camer
 from typing import Annotated, Literal
 
 import numpy as np
-from pydantic import BaseModel, ConfigDict, Field
+from pydantic import Field
 
 from sim_backend.optics.relief import Relief, Rings, Scales
 from sim_backend.optics.shapes import cone, cylinder, ellipsoid, elliptic_cylinder, half_space, slab, sphere
 from sim_backend.optics.solids import Solid, difference, intersection, union
 from sim_backend.optics.tracer import Body
-
-Length = Annotated[float, Field(gt=0, allow_inf_nan=False)]
-
-
-class SpecimenPart(BaseModel):
-    """Common behaviour of every specimen: unchangeable, and no field that we do not know."""
-
-    model_config = ConfigDict(frozen=True, extra="forbid")
+from sim_backend.specimen_part import Length, SpecimenPart
+from sim_backend.wedges import RippledWedge, SteppedWedge
 
 
 class SemiEllipsoid(SpecimenPart):
@@ -227,6 +221,8 @@ Specimen = Annotated[
     | Ornament
     | Bottle
     | RoundPlate
-    | FishPlate,
+    | FishPlate
+    | RippledWedge
+    | SteppedWedge,
     Field(discriminator="kind"),
 ]

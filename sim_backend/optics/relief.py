@@ -1,4 +1,4 @@
-"""A surface with smooth relief: everything on the camera's side of z = h(x, y)."""
+"""A surface with smooth relief on a plane: everything on the camera's side of z = h(x, y)."""
 
 from dataclasses import dataclass
 from typing import Protocol, runtime_checkable
@@ -11,17 +11,32 @@ from sim_backend.optics.solids import Crossings, Leaf
 Vectors = Float64[np.ndarray, "rays 3"]
 Numbers = Float64[np.ndarray, " rays"]
 
-# Newton's method on a surface whose slope is small beside the ray's: each step squares the error.
-NEWTON_STEPS = 8
+# Newton's method squares the error in each step; where a step leaves the bracket, the bracket is halved instead, and so many
+# halvings bring any bracket below rounding.
+MOST_STEPS = 60
+CONVERGED_MM = 1e-12
 ON_SURFACE_MM = 1e-10
 
-# Rays flatter than this to the plate may meet a bump twice; they are taken to miss the relief and leave by the rim.
+# Rays flatter than this to the plane may meet a bump twice; they are taken to miss the relief and leave by the rim.
 FLATTEST_RAY = 0.3
+
+
+@dataclass(frozen=True, slots=True)
+class Band:
+    """Two parallel planes, z = low + slope_y · y and z = high + slope_y · y, with the whole relief between them."""
+
+    low: float
+    high: float
+    slope_y: float = 0.0
 
 
 @runtime_checkable
 class Heights(Protocol):
-    """A smooth height over the plane, and its slopes."""
+    """A smooth height, its slopes, and the planes that it stays between."""
+
+    def band(self) -> Band:
+        """Return the planes."""
+        ...
 
     def height(self, x: Numbers, y: Numbers) -> Numbers:
         """Return h(x, y)."""
@@ -39,6 +54,10 @@ class Rings:
     top: float
     depth: float
     period: float
+
+    def band(self) -> Band:
+        """Return level planes through crests and grooves."""
+        return Band(self.top - self.depth, self.top)
 
     def height(self, x: Numbers, y: Numbers) -> Numbers:
         """Return top − depth (1 − cos 2πr/p) / 2."""
@@ -60,6 +79,10 @@ class Scales:
     depth: float
     period: float
 
+    def band(self) -> Band:
+        """Return level planes through crests and grooves."""
+        return Band(self.top - self.depth, self.top)
+
     def _phases(self, x: Numbers, y: Numbers) -> list[tuple[float, float, Numbers]]:
         wave = 2 * np.pi / self.period
         turns = [(np.cos(angle) * wave, np.sin(angle) * wave) for angle in (0, np.pi / 3, 2 * np.pi / 3)]
@@ -78,6 +101,29 @@ class Scales:
             scale * sum(along_x * sine for along_x, _, sine in parts),
             scale * sum(along_y * sine for _, along_y, sine in parts),
         )
+
+
+@dataclass(frozen=True, slots=True)
+class Ripples:
+    """Straight ripples along x, a sine of zero mean, on a plane that leans along y."""
+
+    middle: float
+    amplitude: float
+    wavelength: float
+    slope_y: float
+
+    def band(self) -> Band:
+        """Return the leaning planes through crests and troughs."""
+        return Band(self.middle - self.amplitude, self.middle + self.amplitude, self.slope_y)
+
+    def height(self, x: Numbers, y: Numbers) -> Numbers:
+        """Return middle + slope_y y + a sin 2πx/Λ."""
+        return self.middle + self.slope_y * y + self.amplitude * np.sin(2 * np.pi * x / self.wavelength)
+
+    def slopes(self, x: Numbers, y: Numbers) -> tuple[Numbers, Numbers]:
+        """Return the slope of the sine, and the plane's."""
+        wave = 2 * np.pi / self.wavelength
+        return self.amplitude * wave * np.cos(wave * x), np.full_like(y, self.slope_y)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -104,19 +150,28 @@ class Relief:
         return np.stack([-slope_x, -slope_y, np.ones(len(points))], axis=1)
 
     def crossings(self, origin: Vectors, direction: Vectors) -> Crossings:
-        """Find the crossing by Newton's method, starting on the plane z = h at the ray's own foot."""
+        """Find the crossing by Newton's method, kept between the planes that the relief stays between."""
+        band = self.heights.band()
         length = np.sqrt(np.einsum("ij,ij->i", direction, direction))
-        steep = np.abs(direction[:, 2]) > FLATTEST_RAY * length
-        down = np.where(steep, direction[:, 2], 1.0)
-        zero = np.zeros(len(origin))
-        distance = (self.heights.height(zero, zero) - origin[:, 2]) / down
-        for _ in range(NEWTON_STEPS):
+        climb = direction[:, 2] - band.slope_y * direction[:, 1]
+        steep = np.abs(climb) > FLATTEST_RAY * np.hypot(1.0, band.slope_y) * length
+        rising = np.where(steep, climb, 1.0)
+        above_foot = origin[:, 2] - band.slope_y * origin[:, 1]
+        # On the low plane a ray is under the relief or on it, on the high one above it or on it.
+        under, over = (band.low - above_foot) / rising, (band.high - above_foot) / rising
+        distance = 0.5 * (under + over)
+        for _ in range(MOST_STEPS):
             points = origin + distance[:, None] * direction
-            slope_x, slope_y = self.heights.slopes(points[:, 0], points[:, 1])
-            rate = direction[:, 2] - slope_x * direction[:, 0] - slope_y * direction[:, 1]
-            distance = distance - self.value(points) / np.where(steep, rate, 1.0)
+            height = self.value(points)
+            if not (steep & (np.abs(height) > CONVERGED_MM)).any():
+                break
+            under, over = np.where(height <= 0, distance, under), np.where(height > 0, distance, over)
+            rate = np.einsum("ij,ij->i", self.gradient(points), direction)
+            newton = distance - height / np.where(rate == 0, 1.0, rate)
+            within = (newton > np.minimum(under, over)) & (newton < np.maximum(under, over)) & (rate != 0)
+            distance = np.where(within, newton, 0.5 * (under + over))
         found = steep & (np.abs(self.value(origin + distance[:, None] * direction)) < ON_SURFACE_MM * (1 + length))
-        starts_inside = np.where(found, direction[:, 2] > 0, self.value(origin) <= 0)
+        starts_inside = np.where(found, climb > 0, self.value(origin) <= 0)
         return Crossings(
             np.where(found, distance, np.inf)[:, None], np.zeros((len(origin), 1), np.int64), starts_inside
         )

@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 
 from sim_backend.light_paths import meet_display, pixel_centre_paths
+from sim_backend.optics.tracer import trace
 from sim_backend.photography import Photographer
 from sim_backend.scene import Scene, SceneError, SceneVariation, load_scene, scene_names
 from sim_backend.truth import Truth, TruthStatus, compute_truth, save_truth
@@ -151,6 +152,40 @@ def test_a_fish_plate_has_the_length_and_width_of_the_fish() -> None:
     # A pixel sees 0.8 mm.
     assert np.ptp(point[:, 0]) == pytest.approx(256, abs=1.6)
     assert np.ptp(point[:, 1]) == pytest.approx(207, abs=1.6)
+
+
+def wedge(**specimen: object) -> Scene:
+    described = tomllib.loads(HEMISPHERE.read_text())
+    described["camera"] |= {"columns": 48, "rows": 48, "centre_x_px": 23.5, "centre_y_px": 23.5, "focal_x_px": 2100}
+    described["specimen"] = {"side_mm": 8.0, "thickness_mm": 4.0, "lean_deg": 20.0, **specimen}
+    return Scene.model_validate(described)
+
+
+def test_a_rippled_wedge_is_a_sine_on_a_leaning_plane() -> None:
+    truth = compute_truth(wedge(kind="wedge_rippled", amplitude_mm=0.05, wavelength_mm=1.2))
+    point, normal = judged(truth)
+    wave = 2 * np.pi / 1.2
+    height = 4 + np.tan(np.radians(20)) * point[:, 1] + 0.05 * np.sin(wave * point[:, 0])
+    np.testing.assert_allclose(point[:, 2], height, atol=1e-9)
+    np.testing.assert_allclose(normal[:, 0] / normal[:, 2], -0.05 * wave * np.cos(wave * point[:, 0]), atol=1e-9)
+    np.testing.assert_allclose(normal[:, 1] / normal[:, 2], -np.tan(np.radians(20)), atol=1e-9)
+
+
+def test_a_stepped_wedge_deviates_light_like_a_prism_and_is_higher_on_the_right() -> None:
+    scene = wedge(kind="wedge_stepped", step_mm=0.5)
+    point, normal = judged(compute_truth(scene))
+    over = point[:, 2] - 4 - np.tan(np.radians(20)) * point[:, 1]
+    face = normal[:, 2] > 0.5
+    np.testing.assert_allclose(over[face], np.where(point[face, 0] > 0, 0.25, -0.25), atol=1e-9)
+    # A ray along z meets the face at 20°: n sin 20° = sin(20° + deviation), towards the thick side.
+    axial = trace(scene.world(wet=False), np.array([[1.0, 0.0, -5.0]]), np.array([[0.0, 0.0, 1.0]])).direction[0]
+    deviation = np.arcsin(scene.n_object * np.sin(np.radians(20))) - np.radians(20)
+    np.testing.assert_allclose(axial, [0, np.sin(deviation), np.cos(deviation)], atol=1e-12)
+
+
+def test_a_wedge_that_would_be_thinner_than_nothing_is_refused_with_what_it_needs() -> None:
+    with pytest.raises(ValueError, match=r"thin side would be at -.*give more than 1\.506"):
+        wedge(kind="wedge_rippled", amplitude_mm=0.05, wavelength_mm=1.2, thickness_mm=1.0)
 
 
 def test_glass_by_name_has_the_index_of_the_displays_colour() -> None:
