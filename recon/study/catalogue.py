@@ -5,6 +5,7 @@ from recon.study.correspondence_study import correspondence
 from recon.study.experiment import Experiment
 from recon.study.noise_studies import noise_by_baseline, noise_by_index
 from recon.study.photo_studies import bottle, concave, hemisphere, ornament, plates
+from recon.study.resolution import resolution
 from recon.study.thin_studies import cone_by_padding, shell_by_shift
 from recon.study.total_reflection import total_reflection
 
@@ -21,4 +22,5 @@ EXPERIMENTS = (
     Experiment("plates", "Twins of the thin glass plates", plates),
     Experiment("correspondence", "Correspondence against its bound", correspondence),
     Experiment("assumptions", "Wrong assumptions", assumptions),
+    Experiment("resolution", "Ripples and a step: what is resolved", resolution),
 )

@@ -86,10 +86,15 @@ def _drawn(figure: StudyFigure, *, ink: str, ground: str) -> bytes:
             style = "--" if method == "paper" else "-"
             values = [float("nan") if value is None else value for value in curve.y]
             axes.plot(curve.x, values, style, color=colour, marker="o", markersize=3.5, label=curve.label)
-        axes.set(xlabel=figure.x_label, ylabel=figure.y_label, yscale=figure.y_scale)
-        if figure.y_scale == "log":
-            axes.yaxis.set_major_formatter(FuncFormatter(plain))
-            axes.yaxis.set_minor_formatter(FuncFormatter(plain))
+        for place in figure.x_lines:
+            axes.axvline(place, color=ink, linewidth=1, linestyle=":")
+        for height in figure.y_lines:
+            axes.axhline(height, color=ink, linewidth=1, linestyle=":")
+        axes.set(xlabel=figure.x_label, ylabel=figure.y_label, xscale=figure.x_scale, yscale=figure.y_scale)
+        for axis, scale in ((axes.xaxis, figure.x_scale), (axes.yaxis, figure.y_scale)):
+            if scale == "log":
+                axis.set_major_formatter(FuncFormatter(plain))
+                axis.set_minor_formatter(FuncFormatter(plain))
         axes.grid(True, which="both", color=ground)
         axes.patch.set_alpha(0)
         axes.legend(fontsize=8.5, loc="center left", bbox_to_anchor=(1.01, 0.5), framealpha=0)

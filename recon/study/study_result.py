@@ -31,13 +31,16 @@ class Curve(Part):
 
 
 class StudyFigure(Part):
-    """Curves over one axis, drawn like those of the paper."""
+    """Curves over one axis, drawn like those of the paper; ``x_lines`` and ``y_lines`` are limits to compare with."""
 
     title: str
     x_label: str
     y_label: str
     curves: tuple[Curve, ...]
     y_scale: Literal["linear", "log"] = "log"
+    x_scale: Literal["linear", "log"] = "linear"
+    x_lines: tuple[float, ...] = ()
+    y_lines: tuple[float, ...] = ()
 
 
 class StudyResult(Part):
