@@ -1,147 +1,166 @@
-"""Normals to depth on the camera grid, as the published method does it: quadratic least squares inside the mask.
+"""Normals to a surface on the camera's grid, without positions: which form of integration, on which rays, and the constants.
 
-For two neighbouring pixels with mean normal n, the chord between their surface points is at right angles to n. This
-holds exactly on planes and spheres. The equations see depth only up to a constant a connected part (a factor, in
-perspective), which the triangulated points supply.
+The equations see depth only up to a constant a connected part (a factor, where all rays meet), which the triangulated points
+supply.
 """
 
+from collections.abc import Callable
 from dataclasses import dataclass
+from typing import Literal
 
 import numpy as np
-from jaxtyping import Bool, Float64, Int32
+from jaxtyping import Float64, Int32
 
-from recon.surface.neighbours import Neighbours, components, neighbours_of, normal_equations
-from recon.surface.sparse_solver import solver
+from recon.surface.bilateral_integration import integrate_bilateral
+from recon.surface.discrete_integration import integrate_discrete
+from recon.surface.quadratic_integration import integrate_quadratic
+from recon.surface.ray_bundle import Mask, RayBundle, ScalarMap, VectorMap
 
-NormalMap = Float64[np.ndarray, "rows cols 3"]
-DepthMap = Float64[np.ndarray, "rows cols"]
-Mask = Bool[np.ndarray, "rows cols"]
+Integration = Literal["quadratic", "discrete", "bilateral"]
 Vector3 = Float64[np.ndarray, " 3"]
-PerPair = Float64[np.ndarray, " pairs"]
-PerPixel = Float64[np.ndarray, " pixels"]
 
-# A pair counts by the square of the cosine between normal and line of sight; below this cosine a surface is seen
-# edge-on and its slope is noise.
-GRAZING_COSINE = 0.02
+_Solve = Callable[[np.ndarray, RayBundle, Mask], tuple[ScalarMap, np.ndarray]]
+SOLVERS: dict[Integration, _Solve] = {
+    "quadratic": integrate_quadratic,
+    "discrete": integrate_discrete,
+    "bilateral": integrate_bilateral,
+}
+# What is left of the neglect of rays that do not meet falls by the object's depth over its distance in each round.
+START_FORMS: tuple[Integration, Integration] = ("quadratic", "quadratic")
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class IntegratedSurface:
-    """Depth along the viewing rays and the points there; NaN outside the mask, ``part`` −1 there.
+    """Depth along the rays and the points there; NaN outside the mask, ``part`` −1 there.
 
     ``part`` numbers the connected parts, each of which has its own free constant.
     """
 
-    depth_mm: DepthMap
-    point_mm: NormalMap
+    depth_mm: ScalarMap
+    point_mm: VectorMap
     part: Int32[np.ndarray, "rows cols"]
 
 
 def integrate_orthographic(
-    normal: NormalMap,
+    normal: VectorMap,
     mask: Mask,
     *,
-    origin_mm: NormalMap,
+    origin_mm: VectorMap,
     direction: Vector3,
-    anchor_depth_mm: DepthMap | None = None,
+    anchor_depth_mm: ScalarMap | None = None,
+    integration: Integration = "quadratic",
 ) -> IntegratedSurface:
     """Integrate normals seen along parallel rays ``origin_mm + depth · direction``.
 
     ``anchor_depth_mm`` (NaN where unknown) sets each part's constant by the median of the difference; a part without any
     anchor has mean depth 0.
     """
-    used = mask & np.isfinite(normal).all(axis=2) & np.isfinite(origin_mm).all(axis=2)
-    sight = direction / np.linalg.norm(direction)
-    graph, mean, cosine = _pairs(normal, np.broadcast_to(sight, normal.shape), used)
-    origin = origin_mm[used]
-    step = -(mean * (origin[graph.second] - origin[graph.first])).sum(1) / (mean @ direction)
-    depth = _depth_from_steps(graph, step, cosine**2)
-    part = components(graph.pixels, graph.first, graph.second)
-    depth += _median_a_part(_anchor(anchor_depth_mm, used) - depth, part, otherwise=-_mean_a_part(depth, part))[part]
-    return _surface(graph, depth, part, origin + depth[:, None] * direction)
+    along = np.broadcast_to(direction, origin_mm.shape)
+    rays = RayBundle.at_distance(origin_mm, along, np.zeros(mask.shape))
+    depth, part = _solved(normal, mask, rays, integration)
+    depth = _anchored(depth, part, anchor_depth_mm)
+    return IntegratedSurface(depth, origin_mm + depth[..., None] * along, part)
 
 
 def integrate_perspective(
-    normal: NormalMap,
+    normal: VectorMap,
     mask: Mask,
     *,
     centre_mm: Vector3,
-    direction: NormalMap,
-    anchor_depth_mm: DepthMap | None = None,
+    direction: VectorMap,
+    anchor_depth_mm: ScalarMap | None = None,
+    integration: Integration = "quadratic",
 ) -> IntegratedSurface:
     """Integrate normals seen from one centre along rays ``centre_mm + depth · direction``.
 
-    The unknown is the logarithm of depth, in which the chord's equation is linear: log(d_j / d_i) =
-    log((n·r_i) / (n·r_j)). ``anchor_depth_mm`` (NaN where unknown) sets each part's factor by the median of the ratio; a
-    part without any anchor has a geometric mean depth of 1.
+    The unknown is the logarithm of depth, in which the equations are linear: log(d_j / d_i) = log((n·r_i) / (n·r_j)).
+    ``anchor_depth_mm`` (NaN where unknown) sets each part's factor by the median of the ratio; a part without any anchor has a
+    geometric mean depth of 1.
     """
-    used = mask & np.isfinite(normal).all(axis=2) & np.isfinite(direction).all(axis=2)
-    length = np.linalg.norm(direction, axis=2, keepdims=True)
-    graph, mean, cosine = _pairs(normal, direction / length, used)
-    ray = direction[used]
-    at_first = (mean * ray[graph.first]).sum(1)
-    at_second = (mean * ray[graph.second]).sum(1)
-    logarithm = _depth_from_steps(graph, np.log(at_first / at_second), cosine**2)
-    part = components(graph.pixels, graph.first, graph.second)
-    with np.errstate(invalid="ignore", divide="ignore"):
-        anchor = np.log(_anchor(anchor_depth_mm, used))
-    logarithm += _median_a_part(anchor - logarithm, part, otherwise=-_mean_a_part(logarithm, part))[part]
-    depth = np.exp(logarithm)
-    return _surface(graph, depth, part, centre_mm + depth[:, None] * ray)
+    logarithm, part = _solved(normal, mask, RayBundle.from_one_centre(direction), integration)
+    anchor = None
+    if anchor_depth_mm is not None:
+        with np.errstate(invalid="ignore", divide="ignore"):
+            anchor = np.log(anchor_depth_mm)
+    depth = np.exp(_anchored(logarithm, part, anchor))
+    return IntegratedSurface(depth, centre_mm + depth[..., None] * direction, part)
 
 
-def _pairs(normal: NormalMap, sight: NormalMap, used: Mask) -> tuple[Neighbours, np.ndarray, np.ndarray]:
-    """Return the pairs seen well enough to carry a slope, their mean normals, and the cosine to the line of sight."""
-    graph = neighbours_of(used)
-    normals, sights = normal[used], sight[used]
-    mean = normals[graph.first] + normals[graph.second]
-    length = np.linalg.norm(mean, axis=1, keepdims=True)
-    mean = np.divide(mean, length, out=np.zeros_like(mean), where=length > 0)
-    at_first = (mean * sights[graph.first]).sum(1)
-    at_second = (mean * sights[graph.second]).sum(1)
-    facing = np.minimum(np.abs(at_first), np.abs(at_second))
-    good = (facing > GRAZING_COSINE) & (at_first * at_second > 0)
-    return Neighbours(used, graph.first[good], graph.second[good]), mean[good], facing[good]
+def integrate_on_rays(
+    normal: VectorMap,
+    mask: Mask,
+    *,
+    origin_mm: VectorMap,
+    direction: VectorMap,
+    anchor_distance_mm: ScalarMap,
+    anchor_sd_mm: ScalarMap,
+    integration: Integration = "quadratic",
+) -> IntegratedSurface:
+    """Integrate normals seen along rays that need not meet, ``origin_mm + depth · direction``.
+
+    ``anchor_distance_mm`` and its standard deviation (NaN where unknown) set each part's constant by the median of the
+    difference, in which each counts by the inverse of its variance. Parts without any are left out. The equations are taken
+    about a guess of the distances: first the same one for all, then those that the quadratic form finds.
+    """
+    weight = np.zeros(mask.shape)
+    known = mask & np.isfinite(anchor_distance_mm) & (anchor_sd_mm > 0)
+    weight[known] = anchor_sd_mm[known] ** -2.0
+    one_part = np.where(mask, 0, -1).astype(np.int32)
+    flat = np.where(mask, 0.0, np.nan)
+    distance = _with_constants(flat, one_part, anchor_distance_mm, weight)
+    part = one_part
+    forms: tuple[Integration, ...] = (*START_FORMS, integration)
+    for form in forms:
+        unknown, part = _solved(normal, mask, RayBundle.at_distance(origin_mm, direction, distance), form)
+        distance = _with_constants(unknown, part, anchor_distance_mm, weight)
+    part = np.where(np.isfinite(distance), part, np.int32(-1))
+    return IntegratedSurface(distance, origin_mm + distance[..., None] * direction, part)
 
 
-def _depth_from_steps(graph: Neighbours, step: PerPair, weight: PerPair) -> PerPixel:
-    """Minimise Σ weight (d_second − d_first − step)², one pixel a part held at zero."""
-    if not len(step):
-        return np.zeros(graph.pixels)
-    part = components(graph.pixels, graph.first, graph.second)
-    held = np.zeros(graph.pixels)
-    # The constant is free, so holding one pixel a part changes no difference of depth.
-    held[np.unique(part, return_index=True)[1]] = 1.0
-    ones = np.ones(len(step))
-    matrix = normal_equations(graph, -ones, ones, weight, held)
-    pull = weight * step
-    right = np.bincount(graph.second, pull, minlength=graph.pixels)
-    right -= np.bincount(graph.first, pull, minlength=graph.pixels)
-    return solver(matrix)(right, np.zeros(graph.pixels))
+def _solved(normal: VectorMap, mask: Mask, rays: RayBundle, integration: Integration) -> tuple[ScalarMap, np.ndarray]:
+    used = mask & np.isfinite(normal).all(axis=2) & rays.complete()
+    return SOLVERS[integration](normal[used], rays, used)
 
 
-def _anchor(anchor_depth_mm: DepthMap | None, used: Mask) -> np.ndarray:
-    return np.full(int(used.sum()), np.nan) if anchor_depth_mm is None else anchor_depth_mm[used]
+def _anchored(unknown: ScalarMap, part: np.ndarray, anchor: ScalarMap | None) -> ScalarMap:
+    """Add each part's median difference to its anchors, or take its mean off where it has none."""
+    solved = part >= 0
+    mean = np.bincount(part[solved], unknown[solved]) / np.maximum(np.bincount(part[solved]), 1)
+    centred = unknown.copy()
+    centred[solved] -= mean[part[solved]]
+    if anchor is None:
+        return centred
+    anchored = _with_constants(centred, part, anchor, solved.astype(np.float64))
+    return np.where(np.isfinite(anchored), anchored, centred)
 
 
-def _mean_a_part(values: np.ndarray, part: np.ndarray) -> np.ndarray:
-    return np.bincount(part, values) / np.maximum(np.bincount(part), 1)
+def _with_constants(unknown: ScalarMap, part: np.ndarray, anchor: ScalarMap, weight: ScalarMap) -> ScalarMap:
+    """Add each part's weighted median difference to its anchors; NaN where a part has none."""
+    known = (part >= 0) & np.isfinite(anchor) & np.isfinite(unknown) & (weight > 0)
+    constant = np.full(int(part.max(initial=-1)) + 2, np.nan)  # the last one is that of part −1
+    medians = weighted_medians((anchor - unknown)[known], weight[known], part[known])
+    for number, median in medians.items():
+        constant[number] = median
+    return unknown + constant[part]
 
 
-def _median_a_part(values: np.ndarray, part: np.ndarray, *, otherwise: np.ndarray) -> np.ndarray:
-    """Return the median of each part's finite values, or ``otherwise`` where it has none."""
-    result = otherwise.copy()
-    finite = np.flatnonzero(np.isfinite(values))
-    order = finite[np.lexsort((values[finite], part[finite]))]
-    labels, start, count = np.unique(part[order], return_index=True, return_counts=True)
-    low, high = order[start + (count - 1) // 2], order[start + count // 2]
-    result[labels] = 0.5 * (values[low] + values[high])
-    return result
+def weighted_medians(values: np.ndarray, weight: np.ndarray, group: np.ndarray) -> dict[int, float]:
+    """Return each group's weighted median; where the weights fall into two equal halves, the middle between them.
 
-
-def _surface(graph: Neighbours, depth: PerPixel, part: np.ndarray, point: np.ndarray) -> IntegratedSurface:
-    point_map = np.full((*graph.mask.shape, 3), np.nan)
-    point_map[graph.mask] = point
-    part_map = np.full(graph.mask.shape, -1, np.int32)
-    part_map[graph.mask] = part
-    return IntegratedSurface(graph.on_grid(depth), point_map, part_map)
+    Examples
+    --------
+    >>> weighted_medians(np.array([1.0, 2.0, 9.0, 5.0]), np.array([1.0, 1.0, 3.0, 1.0]), np.array([0, 0, 0, 1]))
+    {0: 9.0, 1: 5.0}
+    >>> weighted_medians(np.array([1.0, 2.0]), np.ones(2), np.zeros(2, dtype=int))
+    {0: 1.5}
+    """
+    order = np.lexsort((values, group))
+    labels, start = np.unique(group[order], return_index=True)
+    medians = {}
+    for label, members in zip(labels, np.split(order, start[1:]), strict=True):
+        upto = np.cumsum(weight[members])
+        half = 0.5 * upto[-1]
+        low = np.searchsorted(upto, half * (1 - 1e-12))
+        high = np.searchsorted(upto, half * (1 + 1e-12), side="right")
+        medians[int(label)] = float(0.5 * (values[members[low]] + values[members[high]]))
+    return medians

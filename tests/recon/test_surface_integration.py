@@ -5,7 +5,14 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from recon.surface.integration import integrate_orthographic, integrate_perspective
+from recon.surface.integration import (
+    Integration,
+    integrate_on_rays,
+    integrate_orthographic,
+    integrate_perspective,
+)
+
+FORMS: tuple[Integration, ...] = ("quadratic", "discrete", "bilateral")
 
 ALONG_Z = np.array([0.0, 0.0, 1.0])
 CENTRE_MM = np.array([0.0, 0.0, -100.0])
@@ -34,24 +41,30 @@ def without_mean(values: np.ndarray) -> np.ndarray:
     return values - np.nanmean(values)
 
 
-def test_tilted_plane_is_exact_in_parallel_rays() -> None:
+@pytest.mark.parametrize("form", FORMS)
+def test_tilted_plane_is_exact_in_parallel_rays(form: Integration) -> None:
     x, y = grid(21)
     depth = 0.7 * x - 1.9 * y + 3
     tilt = normals(np.full_like(x, 0.7), np.full_like(x, -1.9))
     mask = disc(x, y, 9)
-    found = integrate_orthographic(tilt, mask, origin_mm=origins(x, y), direction=ALONG_Z, anchor_depth_mm=depth)
+    found = integrate_orthographic(
+        tilt, mask, origin_mm=origins(x, y), direction=ALONG_Z, anchor_depth_mm=depth, integration=form
+    )
     assert np.abs(found.depth_mm - depth)[mask].max() < 1e-6
     assert np.isnan(found.depth_mm[~mask]).all()
 
 
-def test_tilted_plane_is_exact_in_perspective() -> None:
+@pytest.mark.parametrize("form", FORMS)
+def test_tilted_plane_is_exact_in_perspective(form: Integration) -> None:
     x, y = grid(21)
     direction = np.stack([x, y, np.full_like(x, 60.0)], axis=2)
     facing = np.array([0.3, -0.5, -1.0]) / np.linalg.norm([0.3, -0.5, -1.0])
     depth = (facing @ [0.0, 0.0, 100.0]) / (direction @ facing)
     tilt = np.broadcast_to(facing, direction.shape).copy()
     mask = disc(x, y, 9)
-    found = integrate_perspective(tilt, mask, centre_mm=CENTRE_MM, direction=direction, anchor_depth_mm=depth)
+    found = integrate_perspective(
+        tilt, mask, centre_mm=CENTRE_MM, direction=direction, anchor_depth_mm=depth, integration=form
+    )
     assert np.abs(found.depth_mm / depth - 1)[mask].max() < 1e-6
     assert np.abs((found.point_mm @ facing)[mask]).max() < 1e-4
 
@@ -169,3 +182,92 @@ def test_empty_mask_gives_an_empty_surface() -> None:
     found = integrate_orthographic(flat, np.zeros(x.shape, bool), origin_mm=origins(x, y), direction=ALONG_Z)
     assert np.isnan(found.depth_mm).all()
     assert (found.part == -1).all()
+
+
+@pytest.mark.parametrize("form", ["quadratic", "discrete"])
+def test_a_gentle_ripple_keeps_what_a_trapezium_leaves_of_it(form: Integration) -> None:
+    # Depth rises from pixel to pixel by the mean of two slopes: of a wave of N pixels, (π/N) cot(π/N) is left.
+    length_px, amplitude = 6, 1e-4
+    x, y = np.meshgrid(np.arange(60.0), np.arange(12.0))
+    wave = 2 * np.pi / length_px
+    slope = amplitude * wave * np.cos(wave * x)
+    found = integrate_orthographic(
+        normals(slope, np.zeros_like(x)),
+        np.ones(x.shape, bool),
+        origin_mm=origins(x, y),
+        direction=ALONG_Z,
+        integration=form,
+    )
+    true = amplitude * np.sin(wave * x)
+    left = (without_mean(found.depth_mm) * true).sum() / (true**2).sum()
+    assert left == pytest.approx(np.pi / length_px / np.tan(np.pi / length_px), rel=1e-5)
+
+
+def test_discrete_geometry_errs_with_the_square_of_the_spacing_on_a_ball() -> None:
+    worst = []
+    for size in (41, 81):
+        x, y = grid(size)
+        inside = disc(x, y, 12)
+        depth = np.sqrt(15.0**2 - x**2 - y**2, where=inside, out=np.full_like(x, np.nan))
+        found = integrate_orthographic(
+            np.stack([x, y, depth], axis=2) / 15.0,
+            inside,
+            origin_mm=origins(x, y),
+            direction=ALONG_Z,
+            integration="discrete",
+        )
+        # The rim, where facets hang on one corner, is a pixel wide at either size.
+        inner = disc(x, y, 9)
+        worst.append(np.abs(without_mean((found.depth_mm - depth)[inner])).max())
+    assert worst[1] < worst[0] / 3
+
+
+def folded_sheet() -> tuple[np.ndarray, ...]:
+    """A sheet cut along x = 0, y > 0: on the right it rises with y, so that the cut opens like a flap."""
+    x, y = np.meshgrid(np.arange(-20, 20) + 0.5, np.arange(-20, 20) + 0.5)
+    flap = (x > 0) & (y > 0)
+    slope_y = np.where(flap, 0.8, 0.0)
+    return x, y, slope_y * y, normals(np.zeros_like(x), slope_y)
+
+
+def test_bilateral_weights_keep_a_jump_that_the_quadratic_form_smears() -> None:
+    x, y, depth, normal = folded_sheet()
+    mean_error = {}
+    for form in FORMS:
+        found = integrate_orthographic(
+            normal,
+            np.ones(x.shape, bool),
+            origin_mm=origins(x, y),
+            direction=ALONG_Z,
+            anchor_depth_mm=depth,
+            integration=form,
+        )
+        mean_error[form] = np.abs(found.depth_mm - depth).mean()
+    # The flap rises to 15.6 pixels. The crease at its hinge is met half-way between pixels: 0.4 of the step there.
+    assert mean_error["bilateral"] < 0.2
+    assert min(mean_error["quadratic"], mean_error["discrete"]) > 1
+
+
+@pytest.mark.parametrize("form", FORMS)
+def test_on_rays_that_cross_a_plane_askew_its_places_are_exact(form: Integration) -> None:
+    x, y = grid(21)
+    # A saddle-shaped bundle: rays that meet in no point. The plane lies at 60 to 80 along them.
+    direction = np.stack([0.012 * x, -0.008 * y, np.ones_like(x)], axis=2)
+    direction /= np.linalg.norm(direction, axis=2, keepdims=True)
+    facing = np.array([0.3, -0.5, 1.0]) / np.linalg.norm([0.3, -0.5, 1.0])
+    depth = (facing @ [0.0, 0.0, 70.0] - origins(x, y) @ facing) / (direction @ facing)
+    rng = np.random.default_rng(6)
+    anchor = depth + 50 * rng.standard_normal(depth.shape)  # worthless, by its own sd
+    sd = np.full(depth.shape, 50.0)
+    anchor[4:8, 4:8], sd[4:8, 4:8] = depth[4:8, 4:8], 1e-3
+    found = integrate_on_rays(
+        np.broadcast_to(facing, direction.shape).copy(),
+        np.ones(x.shape, bool),
+        origin_mm=origins(x, y),
+        direction=direction,
+        anchor_distance_mm=anchor,
+        anchor_sd_mm=sd,
+        integration=form,
+    )
+    # Corners are half-way between rays, which on rays that do not meet is near the plane to second order: 1 % of the spacing.
+    assert np.abs(found.point_mm @ facing - facing[2] * 70).max() < (1e-2 if form == "discrete" else 1e-3)
