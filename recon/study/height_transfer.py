@@ -14,6 +14,8 @@ ROWS_A_PART = 8
 BIN_PX = 0.25
 REACH_PX = 12.0
 LEVEL_FROM_PX = 6.0
+# With less of the step left than this, there is nothing to have a width.
+LEAST_STEP = 0.1
 
 
 @dataclass(frozen=True, slots=True)
@@ -83,7 +85,8 @@ def _parts(ripples: Ripples) -> Float64[np.ndarray, "parts 2"]:
 def edge_of(offset_px: Values, found_mm: Values, *, step_mm: float) -> Edge:
     """Return the edge of pixels that look so many pixels to the right of a step up.
 
-    Heights are averaged in bins of a quarter of a pixel, and the levels are medians from 6 px on.
+    Heights are averaged in bins of a quarter of a pixel, and the levels are medians from 6 px on. With less than a tenth of the
+    step left, width and overshoot are NaN.
     """
     middles = np.arange(-REACH_PX, REACH_PX, BIN_PX) + BIN_PX / 2
     bins = np.floor((offset_px + REACH_PX) / BIN_PX).astype(np.int64)
@@ -96,7 +99,7 @@ def edge_of(offset_px: Values, found_mm: Values, *, step_mm: float) -> Edge:
         else np.nan
         for side in (-1, 1)
     )
-    if not count.all() or not high > low:
+    if not count.all() or not high - low > LEAST_STEP * step_mm:
         return Edge(float((high - low) / step_mm), np.nan, np.nan)
     rise = (total / count - low) / (high - low)
     width_px = _crossing(middles, rise, 0.9) - _crossing(-middles[::-1], 1 - rise[::-1], 0.9, sign=-1)
