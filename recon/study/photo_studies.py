@@ -4,7 +4,7 @@ from pathlib import Path
 
 from recon.evaluation.table import KnownSize
 from recon.study.experiment import Findings, StudySize, Tell
-from recon.study.photographed import HARD, SMOOTH, Judge, comparison, judged_runs
+from recon.study.photographed import DRAWN, HARD, PIXELS_A_STRIPE, SMOOTH, Judge, comparison, judged_runs
 from recon.study.scenes import concave_cone
 
 CONCAVE_COLUMNS, TWIN_COLUMNS = 256, 320
@@ -13,21 +13,27 @@ CONCAVE_NOTE = "Published: FEP RMS 0.141 units, normal RMS 1.58°; places of cam
 
 
 def concave(folder: Path, size: StudySize, tell: Tell) -> Findings:
-    """The rod hollowed by a cone, concave side in water, with a hard and with a smooth stripe."""
+    """The rod hollowed by a cone, concave side in water, with a hard and with a smooth stripe; the latter on two displays."""
     columns = size.columns_or(CONCAVE_COLUMNS)
     tables = []
-    for stripe, words in (("hard", HARD), ("smooth", SMOOTH)):
+    for stripe, pixels_a_stripe, words in (
+        ("hard", 1, HARD),
+        ("smooth", 1, SMOOTH),
+        ("smooth, drawn finely", PIXELS_A_STRIPE, DRAWN),
+    ):
         found = judged_runs(
-            concave_cone(size=columns),
-            folder / f"concave-{stripe}",
+            concave_cone(size=columns, pixels_a_stripe=pixels_a_stripe),
+            folder / f"concave-{stripe.replace(', ', '-').replace(' ', '-')}",
             options=[*words, "--seed", str(size.seed)],
             judge=Judge(ring=CONCAVE_RING),
             tell=told_of(f"{stripe} stripe", tell),
         )
         tables.append(comparison(f"{stripe} stripe", found, note=CONCAVE_NOTE))
     setting = (
-        f"{columns} × {columns} camera pixels, a display of 1,024 × 1,024 pixels of 1/32 unit; apex on the axis 4 inside the "
-        f"display-side face, judged at {CONCAVE_RING[0]:g} < r < {CONCAVE_RING[1]:g}. Photos with noise and JPEG."
+        f"{columns} × {columns} camera pixels, 1,024 stripes of 1/32 unit along each axis; apex on the axis 4 inside the "
+        f"display-side face, judged at {CONCAVE_RING[0]:g} < r < {CONCAVE_RING[1]:g}. Photos with noise and JPEG. The "
+        f"display has a device pixel for each stripe; drawn finely, {PIXELS_A_STRIPE} for each: the published stripe was "
+        "rendered, and knows no device pixels."
     )
     return Findings(setting, tuple(tables))
 

@@ -37,10 +37,15 @@ def semi_ellipsoid(*, size: int, stage: tuple[float, float], n_liquid: float) ->
     }
 
 
-def concave_cone(*, size: int) -> Scene:
-    """Return the rod hollowed by a cone: camera 70 from the display-side face, display 6 and 16 beyond it."""
+def concave_cone(*, size: int, pixels_a_stripe: int = 1) -> Scene:
+    """Return the rod hollowed by a cone: camera 70 from the display-side face, display 6 and 16 beyond it.
+
+    A rendered stripe knows no device pixels; several of them a stripe come near that.
+    """
     return {
-        **_common("concave_cone", method="liquid", n_object=1.7, stage=(6.0, 16.0)),
+        **_common(
+            "concave_cone", method="liquid", n_object=1.7, stage=(6.0, 16.0), pixels=pixels_a_stripe * DISPLAY_PIXELS
+        ),
         "n_liquid": 1.33,
         "liquid": "water",
         "liquid_level_mm": -5.0,
@@ -86,7 +91,9 @@ def thin_shell(*, size: int, shift: float) -> Scene:
     }
 
 
-def _common(name: str, *, method: str, n_object: float, stage: tuple[float, float]) -> dict[str, object]:
+def _common(
+    name: str, *, method: str, n_object: float, stage: tuple[float, float], pixels: int = DISPLAY_PIXELS
+) -> dict[str, object]:
     return {
         "name": name,
         "method": method,
@@ -94,9 +101,9 @@ def _common(name: str, *, method: str, n_object: float, stage: tuple[float, floa
         "n_object": n_object,
         "stage_positions_mm": list(stage),
         "display": {
-            "columns": DISPLAY_PIXELS,
-            "rows": DISPLAY_PIXELS,
-            "pitch_mm": DISPLAY_UNITS / DISPLAY_PIXELS,
+            "columns": pixels,
+            "rows": pixels,
+            "pitch_mm": DISPLAY_UNITS / pixels,
         },
     }
 
