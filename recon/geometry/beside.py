@@ -3,13 +3,16 @@
 Two facts mark such a pixel. With the tank dry nothing bends its light, so its path in air is the camera's own straight
 ray; and its crossing with the path in liquid lies on one plane, the liquid's level, upright to it. A pixel of the object
 may show either by chance (a ray through its very middle is not bent); a neighbourhood shows both only beside the object.
+
+Light that left the object above the liquid meets the level as well: bent before, it still crosses there, upright to the plane.
+Once the level is known, regions of such crossings are told by that alone.
 """
 
 from dataclasses import dataclass
 
 import numpy as np
-from jaxtyping import Bool, Float64
-from scipy.ndimage import label, uniform_filter
+from jaxtyping import Bool, Float64, Int64
+from scipy.ndimage import label, median, uniform_filter
 
 from recon.geometry.entry_point import EntryPoints
 from recon.geometry.light_paths import LightPaths
@@ -23,6 +26,8 @@ NEIGHBOURHOOD_PX = 7
 ALIGNED_RAD = np.radians(5.0)
 SIGMA = 5.0
 DIRECTION_SIGMA = 2.0
+# A face of the object just below the level lies on one side of it; crossings on the level scatter about it.
+REGION_SIGMA = 1.0
 FEWEST_PIXELS = 100
 # The level is a plane if most of the candidates say so.
 PLANE_SHARE = 0.5
@@ -47,7 +52,7 @@ def liquid_surface(
     pixels: np.ndarray,
     shape: tuple[int, int],
 ) -> Bool[np.ndarray, " pixels"]:
-    """Return which of the listed ``pixels`` (flat indices into ``shape``) look past the object.
+    """Return which of the listed ``pixels`` (flat indices into ``shape``) see the liquid's level and no surface of the object.
 
     ``direction_sd_rad`` is how well each air path's direction is known; where pixels are finer than the display's, neighbours
     err alike, so a neighbourhood is known no better than one pixel.
@@ -66,17 +71,32 @@ def liquid_surface(
     with np.errstate(invalid="ignore"):
         on_level = np.abs(height) <= SIGMA * np.maximum(sd, level.scatter_mm)
         aligned = np.abs(normal @ level.upright) > np.cos(ALIGNED_RAD)
-    return _in_regions(straight & on_level & aligned, pixels=pixels, shape=shape)
+    past = _in_regions(straight & on_level & aligned, pixels=pixels, shape=shape)
+    candidates = on_level & aligned & ~past
+    regions = _regions(candidates, pixels=pixels, shape=shape)
+    if not regions.any():
+        return past
+    number = np.arange(regions.max() + 1)
+    with np.errstate(invalid="ignore"):
+        ratio = height / sd
+    about = np.abs(median(ratio[regions > 0], regions[regions > 0], number)) <= REGION_SIGMA
+    return past | (candidates & about[regions] & (regions > 0))
 
 
 def _in_regions(found: np.ndarray, *, pixels: np.ndarray, shape: tuple[int, int]) -> np.ndarray:
     """Keep what lies in connected regions larger than a neighbourhood."""
+    return found & (_regions(found, pixels=pixels, shape=shape) > 0)
+
+
+def _regions(found: np.ndarray, *, pixels: np.ndarray, shape: tuple[int, int]) -> Int64[np.ndarray, " pixels"]:
+    """Return the number of the connected region that each pixel lies in, 0 for those no larger than a neighbourhood."""
     grid = np.zeros(shape, dtype=bool)
     grid.ravel()[pixels[found]] = True
     regions, _ = label(grid)
     size = np.bincount(regions.ravel())
     size[0] = 0
-    return found & (size[regions.ravel()[pixels]] > NEIGHBOURHOOD_PX**2)
+    of_pixel = regions.ravel()[pixels].astype(np.int64)
+    return np.where(size[of_pixel] > NEIGHBOURHOOD_PX**2, of_pixel, 0)
 
 
 def straight_paths(

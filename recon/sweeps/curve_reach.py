@@ -12,8 +12,8 @@ from recon.sessions.photos import Counts
 
 # Below this share of the peak, at the end of the window, flanks tell nothing more of the centre.
 LEVEL = 0.05
-# A quarter of the curves may be wider: these are looked at in a window too narrow for them, and are less sure.
-CURVES_SHARE = 0.75
+# One curve in twenty may be wider: the fit tells where the window cuts off too much of one.
+CURVES_SHARE = 0.95
 LADDER = (0, 4, 8, 12)
 FEWEST_CURVES = 100
 PROBES = (0.5, 0.25, 0.75)

@@ -26,6 +26,8 @@ LARGEST_LEVERAGE = 0.8
 LARGEST_MISFIT = 0.25
 # One good curve in a thousand is taken for a bad one, whose own misfit then widens its sd.
 OWN_MISFIT_CHANCE = 1e-3
+# A curve still this high, as a share of its peak, at an end of its window shows one flank alone: its centre lies anywhere.
+CUT_OFF_LEVEL = 0.5
 SCALE_WINDOW_PX = 11
 LARGEST_CLEAN_RATIO = 4.0
 # The part of a curve above this share of its peak tells its centre.
@@ -112,6 +114,7 @@ def places_by_likelihood(
     residual_rms = np.sqrt(fit.chi_square / (fit.freedom + 3) * noise.variance(fit.amplitude / 2))
     vague = ~(fit.sd_px < max(pattern.width_px, pattern.step_px))
     good = (residual_rms <= LARGEST_MISFIT * fit.amplitude) & (fit.amplitude > 0) & ~vague
+    good &= ~_cut_off(curves, pixels)
     fit.sd_px[:] *= _misfit_scale(fit, pixels, good, black.shape)
     place_map, sd_map = np.full((2, *black.shape), np.nan)
     place_map.ravel()[pixels[good]], sd_map.ravel()[pixels[good]] = fit.place_px[good], fit.sd_px[good]
@@ -129,6 +132,15 @@ def _centres(
     offset = np.arange(-windows.half_width, windows.half_width + 1, dtype=np.float32)
     mean = (height @ offset) / np.maximum(height.sum(axis=1, dtype=np.float64), 1e-9)
     return (pattern.first_px + pattern.step_px * (windows.peak_index[pixels] + mean)).astype(np.float64)
+
+
+def _cut_off(curves: SweepCurves, pixels: np.ndarray) -> Bool[np.ndarray, " pixels"]:
+    """Return which curves are not down at an end of their window that lies within the sweep."""
+    windows = curves.windows
+    height = windows.samples[pixels].astype(np.float32) - curves.black[pixels, None].astype(np.float32)
+    peak = height[:, windows.half_width]
+    ends = windows.inside()[pixels][:, [0, -1]] & (height[:, [0, -1]] > CUT_OFF_LEVEL * peak[:, None])
+    return ends.any(axis=1)
 
 
 def _common_blur_px(curves: SweepCurves, pixels: np.ndarray, box_px: np.ndarray, *, noise: NoiseModel) -> float:
