@@ -11,8 +11,8 @@ Once the level is known, regions of such crossings are told by that alone.
 from dataclasses import dataclass
 
 import numpy as np
-from jaxtyping import Bool, Float64, Int64
-from scipy.ndimage import label, median, uniform_filter
+from jaxtyping import Bool, Float64
+from scipy.ndimage import label, uniform_filter
 
 from recon.geometry.entry_point import EntryPoints
 from recon.geometry.light_paths import LightPaths
@@ -71,32 +71,31 @@ def liquid_surface(
     with np.errstate(invalid="ignore"):
         on_level = np.abs(height) <= SIGMA * np.maximum(sd, level.scatter_mm)
         aligned = np.abs(normal @ level.upright) > np.cos(ALIGNED_RAD)
-    past = _in_regions(straight & on_level & aligned, pixels=pixels, shape=shape)
-    candidates = on_level & aligned & ~past
-    regions = _regions(candidates, pixels=pixels, shape=shape)
-    if not regions.any():
-        return past
-    number = np.arange(regions.max() + 1)
-    with np.errstate(invalid="ignore"):
-        ratio = height / sd
-    about = np.abs(median(ratio[regions > 0], regions[regions > 0], number)) <= REGION_SIGMA
-    return past | (candidates & about[regions] & (regions > 0))
+        in_sd = height / sd
+    past = straight & on_level & aligned
+    past &= _in_level_regions(past, in_sd, pixels=pixels, shape=shape)
+    bent = on_level & aligned & ~past
+    return past | (bent & _in_level_regions(bent, in_sd, pixels=pixels, shape=shape))
 
 
-def _in_regions(found: np.ndarray, *, pixels: np.ndarray, shape: tuple[int, int]) -> np.ndarray:
-    """Keep what lies in connected regions larger than a neighbourhood."""
-    return found & (_regions(found, pixels=pixels, shape=shape) > 0)
-
-
-def _regions(found: np.ndarray, *, pixels: np.ndarray, shape: tuple[int, int]) -> Int64[np.ndarray, " pixels"]:
-    """Return the number of the connected region that each pixel lies in, 0 for those no larger than a neighbourhood."""
+def _in_level_regions(
+    found: Bool[np.ndarray, " pixels"],
+    height_in_sd: Float64[np.ndarray, " pixels"],
+    *,
+    pixels: np.ndarray,
+    shape: tuple[int, int],
+) -> Bool[np.ndarray, " pixels"]:
+    """Tell which pixels lie in regions of ``found`` larger than a neighbourhood, whose heights scatter about the level."""
     grid = np.zeros(shape, dtype=bool)
     grid.ravel()[pixels[found]] = True
-    regions, _ = label(grid)
-    size = np.bincount(regions.ravel())
-    size[0] = 0
-    of_pixel = regions.ravel()[pixels].astype(np.int64)
-    return np.where(size[of_pixel] > NEIGHBOURHOOD_PX**2, of_pixel, 0)
+    regions, count = label(grid)
+    of_pixel = regions.ravel()[pixels]
+    large = np.bincount(of_pixel[found], minlength=count + 1) > NEIGHBOURHOOD_PX**2
+    large[0] = False
+    about = large.copy()
+    for number in np.flatnonzero(large):
+        about[number] = abs(np.median(height_in_sd[found & (of_pixel == number)])) <= REGION_SIGMA
+    return about[of_pixel]
 
 
 def straight_paths(
