@@ -20,6 +20,7 @@ from recon.running.options import (
     CalibrationFile,
     ForceSwitch,
     GapSigma,
+    IntegrationOption,
     LargestGapShare,
     MethodOption,
     RegistrationSwitch,
@@ -56,6 +57,7 @@ def run(
     calibration: CalibrationFile = None,
     registration: RegistrationSwitch = True,
     board: BoardSwitch = True,
+    integration: IntegrationOption = None,
     force: ForceSwitch = False,
 ) -> None:
     """Reconstruct one session: maps, cloud, mesh, numbers and a report."""
@@ -76,6 +78,7 @@ def run(
         calibration=calibration,
         registration=registration,
         board=board,
+        integration=integration,
         force=force,
     )
     metrics = run_session(session, out, settings, on_stage=print_stage)

@@ -40,6 +40,11 @@ def run_session(
     """
     timer = StageTimer(on_stage)
     session = open_session(session_folder)
+    if settings.integration is not None and session.manifest.method != "thin":
+        raise ReconError(
+            f"{session_folder}: --integration {settings.integration} is for thin objects, and this session's method is "
+            f"{session.manifest.method!r}; leave --integration out"
+        )
     with timer.stage("check the session"):
         check_whole(session)
     calibration = calibration_path(session, settings.calibration)

@@ -25,6 +25,7 @@ from recon.running.options import (
     CalibrationFile,
     ForceSwitch,
     GapSigma,
+    IntegrationOption,
     LargestGapShare,
     MethodOption,
     RegistrationSwitch,
@@ -60,6 +61,7 @@ def batch_command(
     calibration: CalibrationFile = None,
     registration: RegistrationSwitch = True,
     board: BoardSwitch = True,
+    integration: IntegrationOption = None,
     jobs: Annotated[
         int, typer.Option(min=0, help="Sessions at a time on this machine; 0 takes as many as there are cores.")
     ] = 0,
@@ -91,6 +93,7 @@ def batch_command(
         calibration=calibration and calibration.resolve(),
         registration=registration,
         board=board,
+        integration=integration,
         force=force,
     )
     batch = Batch(out.resolve(), named, settings)

@@ -7,6 +7,7 @@ from typing import Annotated
 import typer
 
 from recon.reconstruct import Limits
+from recon.surface.thin_surface import ThinForm
 from recon.sweeps.correspondence import Method
 
 DEFAULT = Limits()
@@ -41,6 +42,15 @@ BoardSwitch = Annotated[
     typer.Option(
         "--board/--no-board",
         help="Measure the display's pose in each set by the session's photos of a board, if it has any.",
+    ),
+]
+IntegrationOption = Annotated[
+    ThinForm | None,
+    typer.Option(
+        help="Thin objects: how normals become a surface. fused: together with the triangulated points; the others take the "
+        "normals alone: quadratic: least squares; discrete: as published; bilateral: keeps jumps of depth. "
+        "[default: fused; discrete for method paper]",
+        show_default=False,
     ),
 ]
 ForceSwitch = Annotated[bool, typer.Option("--force", help="Make everything anew, whatever earlier runs have kept.")]

@@ -68,7 +68,7 @@ def reconstruct(
     manifest = session.manifest
     mask = read_mask(session)
     if manifest.method == "thin":
-        thin = thin_object(sweeps, manifest, method=settings.method, inside_mask=mask)
+        thin = thin_object(sweeps, manifest, method=settings.method, inside_mask=mask, integration=settings.integration)
         return Outcome(thin.maps, thin.mesh, None, _statistics(thin.maps, None), thin.warnings)
     stated = stated_index(manifest)
     manifest = provisional(manifest)

@@ -4,6 +4,7 @@ from dataclasses import asdict, dataclass, field
 from pathlib import Path
 
 from recon.reconstruct import Limits
+from recon.surface.thin_surface import ThinForm
 from recon.sweeps.correspondence import Method
 
 
@@ -13,6 +14,7 @@ class Settings:
 
     ``threads`` = 0 takes every core; without a ``calibration`` the session's own ``calibration.json`` counts, if it has one.
     ``registration``: method ``full`` measures how the display slipped between air and liquid, and corrects its poses.
+    ``integration``: the form in which a thin object's normals become a surface; without one, the method's own.
     ``force`` makes everything anew, whatever earlier runs have kept.
     ``board`` = False leaves the session's own photos of a board out.
     """
@@ -23,6 +25,7 @@ class Settings:
     calibration: Path | None = None
     registration: bool = True
     board: bool = True
+    integration: ThinForm | None = None
     force: bool = False
 
     def result_parts(self) -> dict[str, object]:

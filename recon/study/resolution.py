@@ -97,7 +97,12 @@ def series_of(paper: Maps, full: Maps, camera: CameraBody) -> dict[str, Points]:
     centre, direction = rays
     depth = ((paper.point_mm - centre) * direction).sum(axis=2)
     surface = integrate_perspective(
-        paper.normal, paper.valid(), centre_mm=centre, direction=direction, anchor_depth_mm=depth
+        paper.normal,
+        paper.valid(),
+        centre_mm=centre,
+        direction=direction,
+        anchor_depth_mm=depth,
+        integration="discrete",
     )
     points = (_valid_points(paper), surface.point_mm, _valid_points(full))
     return dict(zip(SERIES, points, strict=True))

@@ -48,7 +48,14 @@ def integrated_surface(maps: Maps, camera: CameraBody) -> Surface:
         return Surface(maps, mesh_from_point_map(maps.point_mm, maps.normal, valid), (NO_CAMERA,))
     centre, direction = rays
     depth = ((maps.point_mm - centre) * direction).sum(axis=2)
-    surface = integrate_perspective(maps.normal, valid, centre_mm=centre, direction=direction, anchor_depth_mm=depth)
+    surface = integrate_perspective(
+        maps.normal,
+        valid,
+        centre_mm=centre,
+        direction=direction,
+        anchor_depth_mm=depth,
+        integration="discrete",
+    )
     return Surface(maps, mesh_from_point_map(surface.point_mm, maps.normal, valid))
 
 

@@ -3,8 +3,8 @@
 Without the object the two display points of a pixel give its visual ray; with it they give its PBC. A calibrated camera gives the
 visual ray by itself, and the two sets without the object are not needed (footnote of the paper). One refraction is assumed: the
 visual ray runs on inside the object (index n) up to the surface that faces the display, so the normal there is
-n·U − n_air·V (Eq. 3 with U the visual ray and V the PBC). The two rays are nearly parallel, so their crossing is a poor place and
-only anchors the surface, which is integrated from the normals.
+n·U − n_air·V (Eq. 3 with U the visual ray and V the PBC). The two rays are nearly parallel, so their crossing is a poor place:
+the surface comes from integrating the normals (:mod:`recon.surface.thin_surface`).
 
 Where the side towards the camera is known to be flat (``object.flat_face``), the method ``full`` follows the refraction there
 too, and nothing is assumed.
@@ -29,8 +29,8 @@ from recon.maps import Maps
 from recon.reconstruct import Correspondences, combined_status, correspondences
 from recon.sessions.manifest import Manifest, Pose
 from recon.status import PixelStatus
-from recon.surface.fusion import fuse_on_rays
 from recon.surface.mesh import Mesh, mesh_from_point_map
+from recon.surface.thin_surface import NOTES, USUAL_FORM, ThinForm, thin_surface_points
 from recon.sweeps.correspondence import Method, SweepResult
 
 NEIGHBOURHOOD_PX = 7
@@ -68,8 +68,13 @@ def thin_object(
     *,
     method: Method,
     inside_mask: np.ndarray | None = None,
+    integration: ThinForm | None = None,
 ) -> ThinSurface:
-    """Reconstruct a thin object; the points lie on the visual rays, where the integrated surface meets them."""
+    """Reconstruct a thin object; the points lie on the visual rays, where the integrated surface meets them.
+
+    Without ``integration`` the form is the method's own (``USUAL_FORM``).
+    """
+    form = integration or USUAL_FORM[method]
     n_object = manifest.object.n
     assert n_object is not None, "the manifest's own check grants the object's index to this method"
     by_name = {one.name: correspondences(sweeps, one, manifest) for one in manifest.sets}
@@ -102,30 +107,29 @@ def thin_object(
         return grid.reshape(*shape, *values.shape[1:])
 
     normals = on_grid(normal)
-    fused = fuse_on_rays(
-        on_grid(visual.near_mm),
-        on_grid(visual.direction),
-        on_grid(points.distance_liquid_mm),
-        on_grid(along_sd),
-        normals,
-        on_grid(normal_sd_rad(visual, contact, **media)),
-        np.isfinite(normals).all(axis=2),
+    point_mm = thin_surface_points(
+        form,
+        origin_mm=on_grid(visual.near_mm),
+        direction=on_grid(visual.direction),
+        distance_mm=on_grid(points.distance_liquid_mm),
+        distance_sd_mm=on_grid(along_sd),
+        normal=normals,
+        normal_sd_rad=on_grid(normal_sd_rad(visual, contact, **media)),
     )
-    covered = np.isfinite(fused.point_mm).all(axis=2)
+    covered = np.isfinite(point_mm).all(axis=2)
     lost = (status.reshape(shape) == PixelStatus.OK) & ~covered
     status[lost.ravel()] = PixelStatus.PARALLEL_PATHS
     maps = Maps(
-        point_mm=fused.point_mm,
+        point_mm=point_mm,
         normal=np.where(covered[..., None], normals, np.nan),
         sd_mm=np.full(shape, np.nan, dtype=np.float32),
         gap_mm=on_grid(points.gap_mm).astype(np.float32),
         pbc_angle_rad=on_grid(points.angle_rad).astype(np.float32),
         status=status.reshape(shape),
     )
-    mesh = mesh_from_point_map(fused.point_mm, normals, covered) if covered.any() else None
-    return ThinSurface(
-        maps, mesh, (PHOTOGRAPHED if sight is None else FROM_CAMERA, ONE_REFRACTION if face is None else FLAT_FACE)
-    )
+    mesh = mesh_from_point_map(point_mm, normals, covered) if covered.any() else None
+    rays_note = PHOTOGRAPHED if sight is None else FROM_CAMERA
+    return ThinSurface(maps, mesh, (rays_note, NOTES[form], ONE_REFRACTION if face is None else FLAT_FACE))
 
 
 def _sight(manifest: Manifest) -> tuple[np.ndarray, np.ndarray]:

@@ -204,6 +204,15 @@ def test_a_full_disk_is_one_sentence(tmp_path: Path, refusal: Callable[..., str]
     assert "No space left on device" in refusal("run", session, "--out", out)
 
 
+def test_an_integration_of_thin_objects_is_refused_for_a_session_with_liquid(
+    tmp_path: Path, refusal: Callable[..., str]
+) -> None:
+    session = write_session(tmp_path / "session")
+    message = refusal("run", session, "--out", tmp_path / "out", "--integration", "bilateral")
+    assert "--integration bilateral is for thin objects, and this session's method is 'liquid'" in message
+    assert not (tmp_path / "out").exists()
+
+
 def test_a_torn_last_line_of_the_journal_is_no_fault(tmp_path: Path, recon: Callable[..., Done]) -> None:
     session = write_session(tmp_path / "session")
     with (session / "journal.jsonl").open("a") as journal:
