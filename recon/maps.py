@@ -14,7 +14,7 @@ from recon.status import PixelStatus
 MAPS_NAME = "maps.npz"
 NAMES = ("point_mm", "normal", "sd_mm", "gap_mm", "pbc_angle_rad", "status")
 # Written only by methods that know them; older files lack them.
-OPTIONAL_NAMES = ("normal_sd_rad", "across_sd_mm", "support")
+OPTIONAL_NAMES = ("normal_sd_rad", "across_sd_mm", "support", "path_count")
 
 
 class Support(IntEnum):
@@ -32,7 +32,8 @@ class Maps:
     ``sd_mm`` is the standard deviation of the point (root of the covariance's trace), ``gap_mm`` the distance by which the
     two light paths miss each other (signed), ``pbc_angle_rad`` the angle between them, ``status`` a
     :class:`~recon.status.PixelStatus`. Method ``full`` adds ``normal_sd_rad``, the root of the summed variances of the normal's
-    two tilts, ``across_sd_mm``, the standard deviation of the point across the surface, and ``support``, a :class:`Support`.
+    two tilts, ``across_sd_mm``, the standard deviation of the point across the surface, ``support``, a :class:`Support`, and
+    ``path_count``, by how many light paths the pixel sees the display.
     """
 
     point_mm: Float64[np.ndarray, "rows cols 3"]
@@ -44,6 +45,7 @@ class Maps:
     normal_sd_rad: Float32[np.ndarray, "rows cols"] | None = None
     across_sd_mm: Float32[np.ndarray, "rows cols"] | None = None
     support: UInt8[np.ndarray, "rows cols"] | None = None
+    path_count: UInt8[np.ndarray, "rows cols"] | None = None
 
     def valid(self) -> Bool[np.ndarray, "rows cols"]:
         """Return the pixels that have a point."""

@@ -192,6 +192,13 @@ class LiquidIndexRecord(Part):
     contradicted: bool
 
 
+class TwoPathCount(Part):
+    """How many pixels see the display by two light paths, and how many of them have a point all the same."""
+
+    pixels: int
+    points: int
+
+
 class Metrics(Part):
     """All that ``metrics.json`` holds."""
 
@@ -217,6 +224,7 @@ class Metrics(Part):
     board: BoardResult | None = None
     board_note: str = ""
     liquid_index: LiquidIndexRecord | None = None
+    two_paths: TwoPathCount | None = None
 
 
 def save_metrics(metrics: Metrics, path: Path) -> None:

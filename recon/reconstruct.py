@@ -4,22 +4,28 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 
 import numpy as np
-from jaxtyping import Float64, UInt8
+from jaxtyping import Bool, Float64, UInt8
 
 from recon.geometry.beside import liquid_surface
 from recon.geometry.entry_point import EntryPoints, entry_points
 from recon.geometry.light_paths import LightPaths, light_paths
 from recon.geometry.normals import normal_sd_rad, normals_from_angles, normals_from_paths
 from recon.maps import Maps
-from recon.patterns.sweep_frames import screen_mm
-from recon.sessions.manifest import CaptureSet, Manifest
+from recon.sessions.manifest import Manifest
 from recon.status import PixelStatus
-from recon.sweeps.correspondence import Method, SweepResult
+from recon.sweeps.correspondence import Method
+from recon.sweeps.set_places import (
+    Correspondences,
+    SweepResults,
+    combined_status,
+    correspondences,
+    second_correspondences,
+)
 
 # The scatter of the parabola's vertex for a sharp stripe, in steps: its bias changes from pixel to pixel.
 PARABOLA_SD_PX = 0.17
-
-SweepResults = Mapping[tuple[str, str], SweepResult]
+# In which media a pixel that sees the display twice may be read by the path with less light; first: in none.
+CHOICES: tuple[tuple[str, ...], ...] = ((), ("air",), ("liquid",), ("air", "liquid"))
 
 
 @dataclass(frozen=True, slots=True)
@@ -33,15 +39,6 @@ class Limits:
     largest_gap_share: float = 0.1  # of the distance between the two display positions
     gap_sigma: float = 5.0
     angle_sigma: float = 10.0  # the angle between the paths in units of its sd: 10 % error in depth
-
-
-@dataclass(frozen=True, slots=True, eq=False)
-class Correspondences:
-    """Where each pixel [pixels = rows * cols] looks on the display in one set, in screen mm, with its sd."""
-
-    screen_mm: Float64[np.ndarray, "pixels 2"]
-    sd_mm: Float64[np.ndarray, "pixels 2"]
-    status: UInt8[np.ndarray, "pixels 2"]
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -63,35 +60,6 @@ class Crossing:
     status: np.ndarray  # of the listed pixels
 
 
-def correspondences(sweeps: SweepResults, capture_set: CaptureSet, manifest: Manifest) -> Correspondences:
-    """Join the sweeps along x and y of one set."""
-    x, y = sweeps[capture_set.name, "x"], sweeps[capture_set.name, "y"]
-    pitch = manifest.display.pitch_mm
-    return Correspondences(
-        screen_mm=np.stack(
-            [
-                screen_mm(x.place_px.ravel(), "x", manifest.display),
-                screen_mm(y.place_px.ravel(), "y", manifest.display),
-            ],
-            axis=1,
-        ),
-        sd_mm=np.stack([x.sd_px.ravel(), y.sd_px.ravel()], axis=1).astype(np.float64) * pitch,
-        status=np.stack([x.status.ravel(), y.status.ravel()], axis=1),
-    )
-
-
-def combined_status(sets: list[Correspondences]) -> UInt8[np.ndarray, " pixels"]:
-    """Return OK where every set has a correspondence, and otherwise the first reason in the order of the enum."""
-    every = np.concatenate([one.status for one in sets], axis=1)
-    unlit = every == PixelStatus.UNLIT
-    status = np.full(len(every), PixelStatus.OK, dtype=np.uint8)
-    for reason in (PixelStatus.BAD_CODE, PixelStatus.BAD_FIT, PixelStatus.SWEEP_EDGE):
-        status[(every == reason).any(axis=1)] = reason
-    status[unlit.any(axis=1)] = PixelStatus.PARTLY_LIT
-    status[unlit.all(axis=1)] = PixelStatus.UNLIT
-    return status
-
-
 def cross_paths(
     sweeps: SweepResults,
     manifest: Manifest,
@@ -101,19 +69,19 @@ def cross_paths(
     inside_mask: np.ndarray | None = None,
 ) -> tuple[UInt8[np.ndarray, " pixels"], Crossing]:
     """Cross the paths in liquid and in air of every matched pixel; return the status of all pixels and the crossings."""
-    n_liquid = manifest.n_liquid()
     by_name = {one.name: correspondences(sweeps, one, manifest) for one in manifest.sets}
     status = combined_status(list(by_name.values()))
     if inside_mask is not None:
         status[~inside_mask.ravel() & (status != PixelStatus.UNLIT)] = PixelStatus.MASKED_OUT
+    twice = np.flatnonzero(status == PixelStatus.TWO_PATHS)
+    if len(twice):
+        lesser = {one.name: second_correspondences(sweeps, one, manifest) for one in manifest.sets}
+        by_name, paired = _paired(by_name, lesser, twice, manifest, method=method, limits=limits)
+        status[twice[paired]] = PixelStatus.OK
     pixels = np.flatnonzero(status == PixelStatus.OK)
-    paths = {
-        condition: _paths(by_name, manifest, condition, pixels, n_medium=n, method=method)
-        for condition, n in (("liquid", n_liquid), ("air", manifest.n_air))
-    }
-    points = entry_points(paths["liquid"], paths["air"], weighted=method == "full")
+    paths, points = _crossed(by_name, pixels, manifest, method=method)
     route = normals_from_angles if method == "paper" else normals_from_paths
-    media = {"n_liquid": n_liquid, "n_air": manifest.n_air}
+    media = {"n_liquid": manifest.n_liquid(), "n_air": manifest.n_air}
     normal = route(paths["liquid"].direction, paths["air"].direction, **media)
     crossing = Crossing(
         pixels=pixels,
@@ -138,6 +106,52 @@ def cross_paths(
     crossing.status[beside] = PixelStatus.BESIDE_OBJECT
     status[pixels] = crossing.status
     return status, crossing
+
+
+def _paired(
+    by_name: Mapping[str, Correspondences],
+    lesser: Mapping[str, Correspondences],
+    twice: np.ndarray,
+    manifest: Manifest,
+    *,
+    method: Method,
+    limits: Limits,
+) -> tuple[dict[str, Correspondences], Bool[np.ndarray, " twice"]]:
+    """Choose for each pixel in ``twice`` which of its paths in liquid and in air belong together, and tell where that is known.
+
+    The paths with more light do if they meet as well as their noise lets them; where they do not, the one other pair that does.
+    """
+    met = []
+    doubled = {
+        condition: np.any(
+            [by_name[one.name].doubled()[twice] for one in manifest.sets if one.condition == condition], axis=0
+        )
+        for condition in ("air", "liquid")
+    }
+    for choice in CHOICES:
+        chosen = {one.name: (lesser if one.condition in choice else by_name)[one.name] for one in manifest.sets}
+        _, points = _crossed(chosen, twice, manifest, method=method)
+        tests = _tests(points, manifest, method=method, limits=limits)
+        meets = (tests == PixelStatus.OK) | ((tests == PixelStatus.PARALLEL_PATHS) & (not choice))
+        met.append(np.logical_and.reduce([meets, *(doubled[condition] for condition in choice)]))
+    found = np.stack(met)
+    only = np.where(found[0], 0, np.where(found[1:].sum(axis=0) == 1, 1 + found[1:].argmax(axis=0), -1))
+    result = {}
+    for one in manifest.sets:
+        by_lesser = np.isin(only, [k for k, choice in enumerate(CHOICES) if one.condition in choice])
+        result[one.name] = by_name[one.name].with_places_of(lesser[one.name], twice[by_lesser])
+    return result, only >= 0
+
+
+def _crossed(
+    by_name: Mapping[str, Correspondences], pixels: np.ndarray, manifest: Manifest, *, method: Method
+) -> tuple[dict[str, LightPaths], EntryPoints]:
+    """Make the paths in liquid and in air of these pixels, and cross them."""
+    paths = {
+        condition: _paths(by_name, manifest, condition, pixels, n_medium=n, method=method)
+        for condition, n in (("liquid", manifest.n_liquid()), ("air", manifest.n_air))
+    }
+    return paths, entry_points(paths["liquid"], paths["air"], weighted=method == "full")
 
 
 def _paths(

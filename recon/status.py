@@ -20,6 +20,8 @@ class PixelStatus(IntEnum):
     OUTSIDE_DEPTH = 8
     BESIDE_OBJECT = 9
     BAD_CODE = 10
+    TWO_PATHS = 11
+    HALF_SEEN = 12
 
 
 REASONS: dict[PixelStatus, str] = {
@@ -28,12 +30,14 @@ REASONS: dict[PixelStatus, str] = {
     PixelStatus.PARTLY_LIT: "saw the stripe in some sets only",
     PixelStatus.MASKED_OUT: "outside the session's mask",
     PixelStatus.SWEEP_EDGE: "brightest at the first or last stripe place: the peak may lie outside the sweep",
-    PixelStatus.BAD_FIT: "its intensity curve is not that of one stripe (two paths, a moving scene, clipping)",
+    PixelStatus.BAD_FIT: "its intensity curve is not that of one stripe (a moving scene, clipping)",
     PixelStatus.PARALLEL_PATHS: "the two light paths are nearly parallel and fix no point",
     PixelStatus.GAP_TOO_LARGE: "the two light paths miss each other",
     PixelStatus.OUTSIDE_DEPTH: "the point is not between display and camera",
     PixelStatus.BESIDE_OBJECT: "looks past the object at the liquid's own flat surface",
     PixelStatus.BAD_CODE: "its coarse photos leave in doubt which period of the fine ones it sees",
+    PixelStatus.TWO_PATHS: "sees the display by two light paths, and does not say which belong together",
+    PixelStatus.HALF_SEEN: "an edge leaves less than half of its light: its centre sees nothing of the display",
 }
 
 StatusMap = npt.NDArray[np.uint8]

@@ -77,6 +77,7 @@ def _losses(maps: Maps, funnel: Funnel, *, share: float) -> tuple[str, ...]:
     for status in (
         PixelStatus.BAD_CODE,
         PixelStatus.BAD_FIT,
+        PixelStatus.TWO_PATHS,
         PixelStatus.SWEEP_EDGE,
         PixelStatus.PARALLEL_PATHS,
         PixelStatus.GAP_TOO_LARGE,

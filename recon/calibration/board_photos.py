@@ -26,12 +26,13 @@ from recon.calibration.detection import BoardView, detect_board, outside
 from recon.geometry.beside import straight_paths
 from recon.geometry.light_paths import light_paths
 from recon.patterns.sweep_frames import screen_mm
-from recon.reconstruct import PARABOLA_SD_PX, Correspondences, SweepResults, combined_status, correspondences
+from recon.reconstruct import PARABOLA_SD_PX
 from recon.sessions.manifest import Axis, CaptureSet, Manifest
 from recon.sessions.pattern import GrayLinePattern, PhaseShiftPattern, StripePattern
 from recon.sessions.photos import read_grey
 from recon.sessions.session import Session
 from recon.status import PixelStatus
+from recon.sweeps.set_places import Correspondences, SweepResults, combined_status, correspondences
 
 Views = Mapping[str, tuple[BoardView, ...]]
 AXES: tuple[Axis, Axis] = ("x", "y")

@@ -12,11 +12,11 @@ from recon.calibration.errors import CalibrationError
 from recon.calibration.session_poses import SessionPoses, session_poses, shift_sd_mm, with_poses
 from recon.calibration.wet_pose import Slip
 from recon.metrics import BoardResult, BoardSet, DisplaySlip
-from recon.reconstruct import SweepResults
 from recon.registration.gap_fit import MotionCovariance
 from recon.registration.known_slips import slips_of_poses
 from recon.sessions.manifest import Manifest
 from recon.sessions.session import Session
+from recon.sweeps.set_places import SweepResults
 
 NO_PHOTOS = (
     "The session has no photos of a board: the display is taken to stand where the manifest or the calibration has it."

@@ -21,9 +21,9 @@ from recon.calibration.lens import intrinsics_of
 from recon.calibration.prior import RigKnowledge, rig_knowledge
 from recon.calibration.wet_pose import WET_PANELS, Slip, slips, wet_poses
 from recon.media.stated_index import provisional
-from recon.reconstruct import SweepResults
 from recon.sessions.manifest import CaptureSet, Manifest
 from recon.sessions.session import Session
+from recon.sweeps.set_places import SweepResults
 
 # The direction of the level stays while the camera does; a tank that was lifted and put back leans by less than this.
 LEVEL_TILT_SD_RAD = 0.01

@@ -8,7 +8,7 @@ import numpy as np
 from recon.geometry.entry_point import crossing_by_liquid
 from recon.geometry.light_paths import LightPaths
 from recon.metrics import DisplayMotion, RegistrationRecord
-from recon.reconstruct import Crossing, combined_status, correspondences
+from recon.reconstruct import Crossing
 from recon.registration.gap_fit import MotionCovariance
 from recon.registration.session_slips import (
     MeasuredPlaces,
@@ -20,6 +20,7 @@ from recon.registration.session_slips import (
 from recon.sessions.manifest import Manifest
 from recon.status import PixelStatus
 from recon.sweeps.correspondence import SweepResult
+from recon.sweeps.set_places import combined_status, correspondences
 
 # Pixels whose derivatives are held at once: 36 numbers each.
 CHUNK_PIXELS = 100_000

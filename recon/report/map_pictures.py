@@ -1,7 +1,7 @@
 """Maps on the camera grid as PNG pictures with a colour bar, once for a light page and once for a dark one."""
 
 import io
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from typing import Any
 
@@ -40,6 +40,8 @@ STATUS_COLOURS: dict[PixelStatus, str] = {
     PixelStatus.OUTSIDE_DEPTH: "#2667c9",
     PixelStatus.BESIDE_OBJECT: "#8ecae6",
     PixelStatus.BAD_CODE: "#7f4f24",
+    PixelStatus.TWO_PATHS: "#00b4d8",
+    PixelStatus.HALF_SEEN: "#606c38",
 }
 
 
@@ -185,15 +187,16 @@ def normal_colours(normal: Float64[np.ndarray, "*grid 3"]) -> UInt8[np.ndarray, 
     return np.concatenate([colours, 255.0 * known[..., None]], axis=-1).astype(np.uint8)
 
 
-def status_picture(status: UInt8[np.ndarray, "rows cols"], *, longest_px: int, alt: str) -> Picture:
-    """Draw why each pixel has a point or has none; the key to the colours is a table beside it."""
-    window = window_around(np.ones(status.shape, dtype=bool), longest_px=longest_px)
-    reasons = list(STATUS_COLOURS)
-    colours = ListedColormap([STATUS_COLOURS[reason] for reason in reasons])
-    norm = BoundaryNorm(np.arange(len(reasons) + 1) - 0.5, len(reasons))
+def class_picture(
+    classes: UInt8[np.ndarray, "rows cols"], colours: Sequence[str], *, longest_px: int, alt: str
+) -> Picture:
+    """Draw the class 0, 1, … of each pixel of the whole photo; the key to the colours is a table beside it."""
+    window = window_around(np.ones(classes.shape, dtype=bool), longest_px=longest_px)
+    norm = BoundaryNorm(np.arange(len(colours) + 1) - 0.5, len(colours))
 
     def draw(axes: Axes, _: Axes) -> None:
-        axes.imshow(window.cut(status), extent=window.extent, cmap=colours, norm=norm, interpolation="nearest")
+        shown, key = window.cut(classes), ListedColormap(list(colours))
+        axes.imshow(shown, extent=window.extent, cmap=key, norm=norm, interpolation="nearest")
 
     return _both_themes(draw, window, alt, with_key=False)
 

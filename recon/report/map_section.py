@@ -12,13 +12,14 @@ from recon.report.display_frame import depths, frame_from_world, rotate
 from recon.report.map_pictures import (
     STATUS_COLOURS,
     Picture,
+    class_picture,
     normal_picture,
     scalar_picture,
-    status_picture,
     window_around,
 )
 from recon.report.numbers import LengthUnit, number, share
 from recon.report.panel import Panel, Section
+from recon.report.paths_panel import paths_panel
 from recon.sessions.manifest import Manifest
 from recon.status import REASONS, PixelStatus
 
@@ -116,6 +117,8 @@ def map_section(maps: Maps, manifest: Manifest, *, unit: LengthUnit, longest_px:
     panels.insert(1, _normal_panel(frame, maps.normal, longest_px))
     panels.append(distributions_panel(values, unit))
     panels.append(_status_panel(maps.status, longest_px))
+    if maps.path_count is not None:
+        panels.append(paths_panel(maps.path_count, maps.valid(), longest_px=longest_px))
     return Section(
         "maps",
         "Maps",
@@ -233,8 +236,9 @@ def _status_panel(pixel_status: UInt8[np.ndarray, "rows cols"], longest_px: int)
         for status in PixelStatus
     ]
     with_point = share(count_of[PixelStatus.OK], pixel_status.size)
-    picture = status_picture(
+    picture = class_picture(
         pixel_status,
+        [STATUS_COLOURS[status] for status in PixelStatus],
         longest_px=longest_px,
         alt=f"Map of the reason why each pixel has a point or has none; {with_point} of the photo has a point.",
     )

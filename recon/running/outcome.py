@@ -1,6 +1,6 @@
 """From correspondences to maps, mesh and their statistics, by the session's method."""
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -29,6 +29,7 @@ from recon.surface.mesh import Mesh
 from recon.surface.surface_stage import surface_of
 from recon.surface.thin_stage import thin_object
 from recon.sweeps.correspondence import SweepResult
+from recon.sweeps.set_places import path_count
 from recon.verdict import gap_ratio, statistic
 
 
@@ -69,7 +70,8 @@ def reconstruct(
     mask = read_mask(session)
     if manifest.method == "thin":
         thin = thin_object(sweeps, manifest, method=settings.method, inside_mask=mask, integration=settings.integration)
-        return Outcome(thin.maps, thin.mesh, None, _statistics(thin.maps, None), thin.warnings)
+        maps = _with_path_count(thin.maps, sweeps, settings)
+        return Outcome(maps, thin.mesh, None, _statistics(maps, None), thin.warnings)
     stated = stated_index(manifest)
     manifest = provisional(manifest)
     registration, manifest = _register(session, manifest, sweeps, settings, mask, known)
@@ -84,7 +86,7 @@ def reconstruct(
     if registration is not None:
         crossing = with_carried(crossing, registration, manifest)
     shape = (manifest.camera.rows, manifest.camera.columns)
-    maps = maps_of(status, crossing, shape=shape, method=settings.method)
+    maps = _with_path_count(maps_of(status, crossing, shape=shape, method=settings.method), sweeps, settings)
     surface = surface_of(maps, crossing, manifest, method=settings.method)
     ratio = None
     if settings.method == "full":
@@ -121,6 +123,11 @@ def _register(
     if registration is None:
         return None, manifest
     return registration, registered(manifest, registration.motions) if registration.applied else manifest
+
+
+def _with_path_count(maps: Maps, sweeps: dict[tuple[str, str], SweepResult], settings: Settings) -> Maps:
+    """Add what only method ``full`` looks for."""
+    return replace(maps, path_count=path_count(sweeps)) if settings.method == "full" else maps
 
 
 def _statistics(maps: Maps, crossing: Crossing | None) -> tuple[Statistic, ...]:

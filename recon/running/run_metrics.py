@@ -8,7 +8,7 @@ import numpy as np
 
 from recon.calibration.board_stage import BoardStage
 from recon.maps import Maps
-from recon.metrics import DoubtfulRange, Funnel, Metrics, SampleCurve
+from recon.metrics import DoubtfulRange, Funnel, Metrics, SampleCurve, TwoPathCount
 from recon.running.input_hashes import input_hashes
 from recon.running.outcome import Outcome
 from recon.running.settings import Settings
@@ -36,7 +36,7 @@ def metrics_of(
     """Return all that is to be known of a run, its verdict first."""
     maps, manifest = outcome.maps, session.manifest
     lit = ~np.stack([one.status == PixelStatus.UNLIT for one in sweeps.values()]).all(axis=0)
-    matched = np.stack([one.status == PixelStatus.OK for one in sweeps.values()]).all(axis=0)
+    matched = np.stack([one.known() for one in sweeps.values()]).all(axis=0)
     valid = maps.valid()
     funnel = Funnel(
         pixels=maps.status.size,
@@ -68,7 +68,15 @@ def metrics_of(
         board=board.result(),
         board_note=board.note,
         liquid_index=outcome.liquid_index,
+        two_paths=_two_paths(maps),
     )
+
+
+def _two_paths(maps: Maps) -> TwoPathCount | None:
+    if maps.path_count is None:
+        return None
+    two = maps.path_count == 2
+    return TwoPathCount(pixels=int(two.sum()), points=int((two & maps.valid()).sum()))
 
 
 def _doubtful_ranges(session: Session, sweeps: dict[tuple[str, str], SweepResult]) -> tuple[DoubtfulRange, ...]:

@@ -26,12 +26,12 @@ from recon.geometry.light_paths import LightPaths, light_paths
 from recon.geometry.normals import normal_sd_rad, normals_from_paths
 from recon.geometry.sight import sight_rays
 from recon.maps import Maps
-from recon.reconstruct import Correspondences, combined_status, correspondences
 from recon.sessions.manifest import Manifest, Pose
 from recon.status import PixelStatus
 from recon.surface.mesh import Mesh, mesh_from_point_map
 from recon.surface.thin_surface import NOTES, USUAL_FORM, ThinForm, thin_surface_points
 from recon.sweeps.correspondence import Method, SweepResult
+from recon.sweeps.set_places import Correspondences, combined_status, correspondences
 
 NEIGHBOURHOOD_PX = 7
 # With the object away and in place, a pixel beside it sees the same display pixel to within this.
@@ -80,6 +80,8 @@ def thin_object(
     by_name = {one.name: correspondences(sweeps, one, manifest) for one in manifest.sets}
     shape = (manifest.camera.rows, manifest.camera.columns)
     status = combined_status(list(by_name.values()))
+    # Two light paths of a thin object bend alike, so that no test tells them apart: the one with more light counts.
+    status[status == PixelStatus.TWO_PATHS] = PixelStatus.OK
     if inside_mask is not None:
         status[~inside_mask.ravel() & (status != PixelStatus.UNLIT)] = PixelStatus.MASKED_OUT
     sight = _sight(manifest) if manifest.visual_rays_from_camera else None

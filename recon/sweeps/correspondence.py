@@ -5,7 +5,7 @@ from dataclasses import dataclass
 from typing import Literal
 
 import numpy as np
-from jaxtyping import Float32, Float64, UInt8
+from jaxtyping import Bool, Float32, Float64, UInt8
 
 from recon.metrics import PhotoQuality, SampleCurve
 from recon.sessions.manifest import Axis, CaptureSet, StripePattern
@@ -13,6 +13,7 @@ from recon.sessions.photos import read_grey, saturation_count
 from recon.sessions.session import Session
 from recon.status import PixelStatus
 from recon.sweeps.curve_reach import curve_half_width
+from recon.sweeps.half_seen import less_than_half_seen
 from recon.sweeps.likelihood import places_by_likelihood
 from recon.sweeps.noise import NoiseModel, dark_variance
 from recon.sweeps.sample_curves import sample_curves
@@ -29,7 +30,11 @@ NEIGHBOURS_BEYOND_PROFILE = 3
 
 @dataclass(frozen=True, slots=True, eq=False)
 class SweepResult:
-    """Where each pixel saw the stripe: ``place_px`` in device pixels with ``sd_px``, NaN unless ``status`` is OK."""
+    """Where each pixel saw the stripe: ``place_px`` in device pixels with ``sd_px``, NaN unless ``known``.
+
+    A pixel of status TWO_PATHS saw it twice: ``place_px`` is that of the path with more light, ``second_px`` with
+    ``second_sd_px`` that of the other, NaN for all other pixels; None where the pattern or the method tells no two paths apart.
+    """
 
     place_px: Float64[np.ndarray, "rows cols"]
     sd_px: Float32[np.ndarray, "rows cols"]
@@ -38,6 +43,12 @@ class SweepResult:
     misfit: float  # median of chi-square over degrees of freedom; NaN for the paper's method
     photos: tuple[PhotoQuality, ...]
     curves: tuple[SampleCurve, ...]
+    second_px: Float64[np.ndarray, "rows cols"] | None = None
+    second_sd_px: Float32[np.ndarray, "rows cols"] | None = None
+
+    def known(self) -> Bool[np.ndarray, "rows cols"]:
+        """Return the pixels that have a place: those that saw the stripe once, twice, or with less than half of their area."""
+        return np.isin(self.status, (PixelStatus.OK, PixelStatus.TWO_PATHS, PixelStatus.HALF_SEEN))
 
 
 def decode_sweep(
@@ -197,6 +208,15 @@ def place_by_likelihood(
     sd_map = np.full(black.size, np.nan, dtype=np.float32)
     place_map[pixels[good]] = fit.place_px[good]
     sd_map[pixels[good]] = fit.sd_px[good]
+    light = np.full(black.size, np.nan)
+    light[pixels] = fit.amplitude
+    lit = (status != PixelStatus.UNLIT).reshape(black.shape)
+    half = less_than_half_seen(light.reshape(black.shape), lit).ravel() & np.isfinite(place_map)
+    two = places.two.some(~half[pixels[places.two.rows]])
+    second_map, second_sd_map = np.full(black.size, np.nan), np.full(black.size, np.nan, dtype=np.float32)
+    second_map[pixels[two.rows]], second_sd_map[pixels[two.rows]] = two.second.place_px, two.second.sd_px
+    status[pixels[two.rows]] = PixelStatus.TWO_PATHS
+    status[half] = PixelStatus.HALF_SEEN
     return SweepResult(
         place_px=place_map.reshape(black.shape),
         sd_px=sd_map.reshape(black.shape),
@@ -205,4 +225,6 @@ def place_by_likelihood(
         misfit=float(np.median(fit.chi_square / fit.freedom)) if len(pixels) else float("nan"),
         photos=photos,
         curves=sample_curves(windows, black, photos, pattern=pattern, place=place_map, fit=places),
+        second_px=second_map.reshape(black.shape),
+        second_sd_px=second_sd_map.reshape(black.shape),
     )

@@ -31,6 +31,7 @@ STORE_NAME = "correspondence"
 KEY_DIGITS = 20
 LOG = logging.getLogger(__name__)
 ARRAYS = ("place_px", "sd_px", "status")
+SECOND_ARRAYS = ("second_px", "second_sd_px")
 
 
 def store_key(session: Session, capture_set: CaptureSet, axis: Axis, *, method: Method) -> str | None:
@@ -77,6 +78,7 @@ def load_stored(session: Session, capture_set: CaptureSet, axis: Axis, *, method
         with path.open("rb") as file, np.load(file, allow_pickle=False) as stored:
             rest = json.loads(bytes(stored["rest"]))
             place_px, sd_px, status = (stored[name] for name in ARRAYS)
+            second_px, second_sd_px = (stored.get(name) for name in SECOND_ARRAYS)
         return SweepResult(
             place_px=place_px,
             sd_px=sd_px,
@@ -85,6 +87,8 @@ def load_stored(session: Session, capture_set: CaptureSet, axis: Axis, *, method
             misfit=rest["misfit"],
             photos=tuple(PhotoQuality.model_validate(one) for one in rest["photos"]),
             curves=tuple(SampleCurve.model_validate(one) for one in rest["curves"]),
+            second_px=second_px,
+            second_sd_px=second_sd_px,
         )
     except (OSError, EOFError, ValueError, KeyError, TypeError, zipfile.BadZipFile):
         return None  # damaged: the sweep is decoded from its photos, as if there were nothing here
@@ -103,7 +107,8 @@ def save_stored(
         "photos": [photo.model_dump() for photo in result.photos],
         "curves": [curve.model_dump() for curve in result.curves],
     }
-    arrays = {name: getattr(result, name) for name in ARRAYS}
+    named = {name: getattr(result, name) for name in (*ARRAYS, *SECOND_ARRAYS)}
+    arrays = {name: array for name, array in named.items() if array is not None}
     make_folders(path.parent, disk=Disk(durable=False))
     # Each process a name of its own: two may decode the same sweep. Not flushed: a power cut takes what can be decoded again.
     temporary = path.with_name(f"{path.name}.{os.getpid()}{PART_SUFFIX}")

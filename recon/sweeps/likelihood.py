@@ -15,6 +15,7 @@ from recon.sweeps.map_scatter import scatter_beyond_px
 from recon.sweeps.noise import NoiseModel, lone_peak_variance, noise_from_residuals
 from recon.sweeps.stripe_fit import StripeFit, WidthPrior, fit_stripe, leverage_of, looked_up
 from recon.sweeps.stripe_peak import PeakWindows
+from recon.sweeps.two_paths import TwoPaths, two_paths, unresolved_px
 from recon.sweeps.width_prior import GRADIENT_SD, Footprints, known_prior, neighbours_prior
 
 # Every third pixel in each direction tells noise and widths of all.
@@ -41,7 +42,10 @@ SHARP_PX = 1e-3
 
 @dataclass(frozen=True, slots=True, eq=False)
 class LikelihoodPlaces:
-    """The fit of the pixels listed in ``pixels``, what it rests on, and which of them are ``good``."""
+    """The fit of the pixels listed in ``pixels``, what it rests on, and which of them are ``good``.
+
+    ``two`` are those of them that the stripe lit twice; ``fit`` holds their brighter path.
+    """
 
     pixels: Int64[np.ndarray, " pixels"]
     fit: StripeFit
@@ -49,6 +53,7 @@ class LikelihoodPlaces:
     table: CurveTable
     noise: NoiseModel
     good: Bool[np.ndarray, " pixels"]
+    two: TwoPaths
 
     def drawn(self, row: int, peak: int) -> Float64[np.ndarray, " samples"]:
         """Return the fitted curve of the pixel in ``row`` of the list, in counts above black, about its stripe ``peak``."""
@@ -110,16 +115,31 @@ def places_by_likelihood(
         )
     prior = neighbours_prior(fit, some, footprints, pixels, grid=black.shape)
     fit = fit_stripe(curves, pixels, prior, noise=noise)
-    # A place known no better than the stripe's own width says nothing.
-    residual_rms = np.sqrt(fit.chi_square / (fit.freedom + 3) * noise.variance(fit.amplitude / 2))
-    vague = ~(fit.sd_px < max(pattern.width_px, pattern.step_px))
-    good = (residual_rms <= LARGEST_MISFIT * fit.amplitude) & (fit.amplitude > 0) & ~vague
-    good &= ~_cut_off(curves, pixels)
-    fit.sd_px[:] *= _misfit_scale(fit, pixels, good, black.shape)
+    unresolved = unresolved_px(fit, prior)
+    two = two_paths(curves, pixels, prior, noise=noise)
+    two = two.some(_good(two.first, pattern, noise=noise) & _good(two.second, pattern, noise=noise))
+    for name in StripeFit.__slots__:
+        getattr(fit, name)[two.rows] = getattr(two.first, name)
+    cut_off = _cut_off(curves, pixels)
+    # The other peak may reach into the window's end, and its light has been taken away.
+    unresolved[two.rows], cut_off[two.rows] = 0.0, False
+    good = _good(fit, pattern, noise=noise) & ~cut_off
+    fit.sd_px[:] = np.hypot(fit.sd_px * _misfit_scale(fit, pixels, good, black.shape), unresolved)
+    two.second.sd_px[:] *= np.sqrt(np.maximum(two.second.chi_square / two.second.freedom, 1.0))
     place_map, sd_map = np.full((2, *black.shape), np.nan)
     place_map.ravel()[pixels[good]], sd_map.ravel()[pixels[good]] = fit.place_px[good], fit.sd_px[good]
-    fit.sd_px[:] = np.hypot(fit.sd_px, scatter_beyond_px(place_map, sd_map))
-    return LikelihoodPlaces(pixels, fit, prior, table, noise, good)
+    beyond_px = scatter_beyond_px(place_map, sd_map)
+    for sd_px in (fit.sd_px, two.second.sd_px):
+        sd_px[:] = np.hypot(sd_px, beyond_px)
+    return LikelihoodPlaces(pixels, fit, prior, table, noise, good, two)
+
+
+def _good(fit: StripeFit, pattern: StripePattern, *, noise: NoiseModel) -> Bool[np.ndarray, " pixels"]:
+    """Tell which curves are those of one stripe whose place they say."""
+    residual_rms = np.sqrt(fit.chi_square / (fit.freedom + 3) * noise.variance(fit.amplitude / 2))
+    # A place known no better than the stripe's own width says nothing.
+    vague = ~(fit.sd_px < max(pattern.width_px, pattern.step_px))
+    return (residual_rms <= LARGEST_MISFIT * fit.amplitude) & (fit.amplitude > 0) & ~vague
 
 
 def _centres(

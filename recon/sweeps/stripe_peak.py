@@ -1,7 +1,8 @@
 """Find, while the photos of a sweep stream past, where each pixel was brightest; keep only a window about it.
 
-Memory is a few photos plus the windows, however long the sweep. The paper's parabola through the three brightest
-samples is here too; the maximum-likelihood fit is in ``stripe_fit.py``.
+A pixel that sees the display by two light paths is bright at two places, so the brightest maximum beyond that window is
+kept as well. Memory is a few photos plus the windows, however long the sweep. The paper's parabola through the three brightest
+samples is here too; the maximum-likelihood fit is in ``stripe_fit.py``, that of two peaks in ``two_paths.py``.
 """
 
 from dataclasses import dataclass
@@ -21,13 +22,15 @@ class PeakWindows:
     """The samples about each pixel's brightest one.
 
     ``peak_index`` [pixels] is the stripe number of the brightest sample, ``NO_PEAK`` where no sample rose above the
-    floor; ``samples`` [pixels, 2 * half_width + 1] are the counts about it, zero beyond the sweep's ends.
+    floor; ``samples`` [pixels, 2 * half_width + 1] are the counts about it, zero beyond the sweep's ends. ``second`` holds the
+    windows about the brightest maximum outside those, where a sweep was searched for one.
     """
 
     peak_index: Int32[np.ndarray, " pixels"]
     samples: np.ndarray
     half_width: int
     photo_count: int
+    second: "PeakWindows | None" = None
 
     def inside(self) -> np.ndarray:
         """Return which samples [pixels, window] exist, rather than lying beyond the sweep's ends."""
@@ -46,9 +49,8 @@ class PeakTracker:
         if half_width < 1:
             raise ValueError("half_width: at least one neighbour on each side is needed")
         self._half_width = half_width
-        self._brightest = floor.ravel().copy()
-        self._index = np.full(floor.size, NO_PEAK, dtype=np.int32)
-        self._samples = np.zeros((floor.size, 2 * half_width + 1), dtype=floor.dtype)
+        self._first = _Peaks(floor.ravel(), half_width)
+        self._second = _Peaks(floor.ravel(), half_width)
         nothing = np.zeros(floor.size, dtype=floor.dtype)
         self._ring = [nothing] * (2 * half_width + 1)
         self._nothing = nothing
@@ -65,7 +67,9 @@ class PeakTracker:
         """Test the photos still in the window and return the result."""
         for _ in range(self._half_width):
             self._push(self._nothing)
-        return PeakWindows(self._index, self._samples, self._half_width, self._fed)
+        first, second = self._first, self._second
+        beyond = PeakWindows(second.index, second.samples, self._half_width, self._fed)
+        return PeakWindows(first.index, first.samples, self._half_width, self._fed, beyond)
 
     def _push(self, counts: np.ndarray) -> np.ndarray | None:
         oldest = self._ring.pop(0)
@@ -77,24 +81,48 @@ class PeakTracker:
     def _test(self, index: int) -> None:
         if index < 0 or index >= self._fed:
             return
-        for first in range(0, self._brightest.size, BLOCK_PIXELS):
-            self._test_block(slice(first, first + BLOCK_PIXELS), index)
+        for start in range(0, self._nothing.size, BLOCK_PIXELS):
+            self._test_block(slice(start, start + BLOCK_PIXELS), index)
 
     def _test_block(self, block: slice, index: int) -> None:
         before, centre, after = (self._ring[self._half_width + neighbour][block] for neighbour in (-1, 0, 1))
-        brightest = self._brightest[block]
+        candidate = centre > self._second.brightest[block]
         # Only a local maximum can be the brightest of all: a rising flank is not written again and again.
-        candidate = centre > brightest
         if not candidate.any():
             return
         candidate &= centre >= before
         candidate &= centre >= after
-        pixels = np.flatnonzero(candidate)
-        brightest[pixels] = centre[pixels]
-        self._index[block][pixels] = index
-        samples = self._samples[block]
-        for column, photo in enumerate(self._ring):
-            samples[pixels, column] = photo[block][pixels]
+        pixels = block.start + np.flatnonzero(candidate)
+        first, second = self._first, self._second
+        height = self._ring[self._half_width][pixels]
+        brighter = height > first.brightest[pixels]
+        apart = index - first.index[pixels] > self._half_width
+        known = first.index[pixels] != NO_PEAK
+        second.take_over(pixels[brighter & apart & known], first)
+        first.write(pixels[brighter], height[brighter], index, self._ring)
+        lesser = ~brighter & apart
+        second.write(pixels[lesser], height[lesser], index, self._ring)
+
+
+class _Peaks:
+    """The brightest maximum so far of each pixel, its number, and the samples about it."""
+
+    def __init__(self, floor: np.ndarray, half_width: int) -> None:
+        self.brightest = floor.copy()
+        self.index = np.full(floor.size, NO_PEAK, dtype=np.int32)
+        # Pages of memory that no pixel is written to are never taken.
+        self.samples = np.zeros((floor.size, 2 * half_width + 1), dtype=floor.dtype)
+
+    def write(self, pixels: np.ndarray, height: np.ndarray, index: int, ring: list[np.ndarray]) -> None:
+        self.brightest[pixels] = height
+        self.index[pixels] = index
+        for column, photo in enumerate(ring):
+            self.samples[pixels, column] = photo[pixels]
+
+    def take_over(self, pixels: np.ndarray, other: "_Peaks") -> None:
+        self.brightest[pixels] = other.brightest[pixels]
+        self.index[pixels] = other.index[pixels]
+        self.samples[pixels] = other.samples[pixels]
 
 
 def parabola_offset(

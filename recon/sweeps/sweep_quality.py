@@ -39,7 +39,7 @@ class SweepQuality:
 def sweep_quality(result: SweepResult, *, set_name: str, axis: str) -> SweepQuality:
     """Sum up a decoded sweep."""
     lit = int(np.count_nonzero(result.status != PixelStatus.UNLIT))
-    fine = result.status == PixelStatus.OK
+    fine = result.known()
     clipped = sum(photo.saturated_share for photo in result.photos) * result.status.size
     curves = [np.array(curve.intensity) for curve in result.curves if curve.intensity]
     contrasts = [

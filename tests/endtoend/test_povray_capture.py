@@ -21,6 +21,10 @@ def sessions(tmp_path_factory: pytest.TempPathFactory) -> dict[str, Path]:
     return {stripe: folder / stripe for stripe in ("hard", "smooth")}
 
 
+# Of the pixels that are judged, one in a thousand.
+MOST_FALSE_POINTS = 37
+
+
 def reconstructed(session: Path, method: str) -> Maps:
     out = session / f"recon-{method}"
     run_session(session, out, Settings(method=method))
@@ -53,6 +57,7 @@ def test_the_full_method_on_a_smooth_stripe(sessions: dict[str, Path]) -> None:
     assert result.point_rms <= 0.02
     assert result.point_median <= 0.007
     assert result.normal_median_deg <= 0.05
+    assert result.false_points <= MOST_FALSE_POINTS
     names = {"maps.npz", "cloud.ply", "mesh.ply", "mesh.glb", "metrics.json", "report.html"}
     assert names <= {path.name for path in (sessions["smooth"] / "recon-full").iterdir()}
 
@@ -62,6 +67,7 @@ def test_the_full_method_on_a_hard_stripe(sessions: dict[str, Path]) -> None:
     assert result.complete >= 0.97
     assert result.point_rms <= 0.08
     assert result.point_median <= 0.03
+    assert result.false_points <= MOST_FALSE_POINTS
 
 
 def test_the_import_makes_no_second_copy_of_a_photo(tmp_path: Path) -> None:
