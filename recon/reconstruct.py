@@ -96,6 +96,7 @@ def cross_paths(
     )
     beside = liquid_surface(
         points,
+        paths["liquid"],
         paths["air"],
         normal,
         manifest,

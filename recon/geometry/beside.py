@@ -16,6 +16,7 @@ from scipy.ndimage import label, uniform_filter
 
 from recon.geometry.entry_point import EntryPoints
 from recon.geometry.light_paths import LightPaths
+from recon.media.index_estimate import robust_weights
 from recon.sessions.manifest import Manifest
 
 # How far an unbent ray may seem to miss the camera: calibration errors of a tenth of a degree are ordinary.
@@ -28,6 +29,8 @@ SIGMA = 5.0
 DIRECTION_SIGMA = 2.0
 # A face of the object just below the level lies on one side of it; crossings on the level scatter about it.
 REGION_SIGMA = 1.0
+ROUNDING_MM = 1e-9
+LEVEL_ROUNDS = 8
 FEWEST_PIXELS = 100
 # The level is a plane if most of the candidates say so.
 PLANE_SHARE = 0.5
@@ -44,6 +47,7 @@ class LiquidLevel:
 
 def liquid_surface(
     points: EntryPoints,
+    liquid: LightPaths,
     air: LightPaths,
     normal: Float64[np.ndarray, "pixels 3"],
     manifest: Manifest,
@@ -63,7 +67,8 @@ def liquid_surface(
         return np.zeros(len(pixels), dtype=bool)
     camera_mm = np.array(manifest.camera.pose.centre_mm)
     straight = straight_paths(air, camera_mm, direction_sd_rad, pixels=pixels, shape=shape)
-    level = _level(points, normal, straight)
+    place = np.column_stack(np.divmod(pixels, shape[1])).astype(np.float64)
+    level = _level(points, (liquid, air), normal, straight, place=place)
     if level is None:
         return np.zeros(len(pixels), dtype=bool)
     height = (points.point_mm - level.centre_mm) @ level.upright
@@ -71,7 +76,7 @@ def liquid_surface(
     with np.errstate(invalid="ignore"):
         on_level = np.abs(height) <= SIGMA * np.maximum(sd, level.scatter_mm)
         aligned = np.abs(normal @ level.upright) > np.cos(ALIGNED_RAD)
-        in_sd = height / sd
+        in_sd = height / np.maximum(np.where(sd > 0, sd, level.scatter_mm), ROUNDING_MM)
     past = straight & on_level & aligned
     past &= _in_level_regions(past, in_sd, pixels=pixels, shape=shape)
     bent = on_level & aligned & ~past
@@ -125,26 +130,61 @@ def straight_paths(
     return np.linalg.norm(mean[:, :3], axis=1) <= np.maximum(STRAIGHT_RAD, DIRECTION_SIGMA * mean[:, 3])
 
 
-def _level(points: EntryPoints, normal: np.ndarray, straight: np.ndarray) -> LiquidLevel | None:
+def _level(
+    points: EntryPoints,
+    paths: tuple[LightPaths, LightPaths],
+    normal: np.ndarray,
+    straight: np.ndarray,
+    *,
+    place: Float64[np.ndarray, "pixels 2"],
+) -> LiquidLevel | None:
     """Return the plane on which most of the straight pixels' crossings lie, if there is one.
 
-    Its upright is the median of their normals, which hardly depend on where the crossings are; along it each crossing counts
-    by its own certainty, since nearly upright paths hardly fix their crossing at all.
+    Its upright is the median of their normals, which hardly depend on where the crossings are.
     """
     known = straight & np.isfinite(points.point_mm).all(axis=1) & np.isfinite(normal).all(axis=1)
     if np.count_nonzero(known) < FEWEST_PIXELS:
         return None
     upright = np.median(normal[known], axis=0)
     upright /= np.linalg.norm(upright)
-    place = points.point_mm[known] @ upright
+    middle = _level_height(paths, upright, known, place=place[known])
+    height = points.point_mm[known] @ upright - middle
     variance = np.einsum("i,pij,j->p", upright, points.covariance[known], upright)
-    weight = 1 / np.maximum(variance, 1e-3 * np.median(variance)) if variance.any() else np.ones(len(place))
-    middle = _weighted_median(place, weight)
-    scatter = 1.4826 * _weighted_median(np.abs(place - middle), weight)
-    on_level = np.abs(place - middle) <= SIGMA * np.maximum(np.sqrt(variance), scatter)
+    weight = 1 / np.maximum(variance, 1e-3 * np.median(variance)) if variance.any() else np.ones(len(height))
+    scatter = 1.4826 * _weighted_median(np.abs(height), weight)
+    on_level = np.abs(height) <= SIGMA * np.maximum(np.sqrt(variance), scatter)
     if on_level.mean() < PLANE_SHARE:
         return None
     return LiquidLevel(middle * upright, upright, scatter)
+
+
+def _level_height(
+    paths: tuple[LightPaths, LightPaths],
+    upright: Float64[np.ndarray, " 3"],
+    known: Bool[np.ndarray, " pixels"],
+    *,
+    place: Float64[np.ndarray, "known 2"],
+) -> float:
+    """Return the height along ``upright`` at which the two paths of all known pixels meet.
+
+    At a height L the paths are D₀ + L D₁ apart. Noise in D₁ would draw L towards where the display stands; so the equations are
+    weighted by D₁ as an affine function of the pixel's place (row, column), which has next to none (instrumental variables).
+    """
+    at_zero, slope = [], []
+    for one in paths:
+        climb = one.direction[known] / (one.direction[known] @ upright)[:, None]
+        near = one.near_mm[known]
+        at_zero.append(near - (near @ upright)[:, None] * climb)
+        slope.append(climb)
+    apart, parting = at_zero[0] - at_zero[1], slope[0] - slope[1]
+    affine = np.column_stack([np.ones(len(place)), place])
+    smooth = affine @ np.linalg.lstsq(affine, parting, rcond=None)[0]
+    weight = np.ones(len(place))
+    for _ in range(LEVEL_ROUNDS):
+        each = weight[:, None] * smooth
+        level = -(each * apart).sum() / (each * parting).sum()
+        weight = robust_weights(np.linalg.norm(apart + level * parting, axis=1))
+    return float(level)
 
 
 def _weighted_median(values: np.ndarray, weight: np.ndarray) -> float:

@@ -15,7 +15,7 @@ from jaxtyping import Float64, Int64
 from recon.sweeps.curve_samples import CurveSamples, SweepCurves
 from recon.sweeps.curve_table import NODE_SPACING, CurveTable
 from recon.sweeps.noise import NoiseModel
-from recon.sweeps.stripe_scan import FINE_PLACES_A_PX, best_places, place_spread
+from recon.sweeps.stripe_scan import FINE_PLACES_A_PX, SCAN_STEPS, best_places, place_spread
 
 GAUSS_NEWTON_STEPS = 6
 LARGEST_STEP = 0.5  # of a step of the sweep, and of the logarithm of the width
@@ -79,6 +79,7 @@ def _fit_chunk(samples: CurveSamples, prior: WidthPrior, *, table: CurveTable, n
     """Scan, walk, and where the curve is angular take the likelihood's own mean and spread."""
     weight = (samples.usable / noise.variance(samples.height)).astype(np.float32)
     start = best_places(samples, weight, black_weight=1 / noise.read_variance, log_width=prior.log_width, table=table)
+    start = _about_wide_tops(samples, start, step_px=table.pattern.step_px)
     # The samples' own counts gave the first weights; the curve's heights, free of their noise, give the last.
     curve, _, _ = looked_up(samples, start, prior.log_width, shape=prior.shape, table=table)
     amplitude = _Linear(curve, weight, samples.height, 1 / noise.read_variance).amplitude
@@ -108,6 +109,15 @@ def _fit_chunk(samples: CurveSamples, prior: WidthPrior, *, table: CurveTable, n
         curved, np.maximum(fit.sd_px[angular], spread.sd_px), np.maximum(spread.sd_px, spacing / np.sqrt(12))
     )
     return fit
+
+
+def _about_wide_tops(samples: CurveSamples, start: np.ndarray, *, step_px: float) -> np.ndarray:
+    """Begin in the middle of a top that is wider than the scan; its brightest sample may be anywhere on it."""
+    top = samples.height > 0.5 * samples.height[:, samples.half_width, None]
+    count = top.sum(axis=1)
+    number = np.arange(-samples.half_width, samples.half_width + 1)
+    middle = samples.peak_px + step_px * (top @ number) / np.maximum(count, 1)
+    return np.where(count > 2 * SCAN_STEPS, middle, start)
 
 
 def _angular_px(table: CurveTable) -> float:

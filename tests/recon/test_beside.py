@@ -64,6 +64,7 @@ def marked(
     points = entry_points(liquid, air, weighted=True)
     found = liquid_surface(
         points,
+        liquid,
         air,
         normals_from_paths(liquid.direction, air.direction, n_liquid=N_WATER, n_air=1.0),
         scene(camera=camera),
@@ -107,6 +108,7 @@ def test_nothing_is_marked_where_every_path_is_bent() -> None:
     air = paths(point, -out, rng, 1e-4)
     found = liquid_surface(
         entry_points(air, air, weighted=True),
+        air,
         air,
         np.tile([0.0, 0.0, 1.0], (400, 1)),
         scene(),

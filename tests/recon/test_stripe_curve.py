@@ -88,10 +88,11 @@ def curves(
     amplitude: float = 200.0,
     black: float = 5.0,
     read_sd: float = 1.0,
+    half_width: int = 6,
+    off_centre: np.ndarray | float = 0.0,
 ) -> tuple[PeakWindows, np.ndarray]:
     """Make noisy windows about known centres; the profile's average is taken by brute-force sampling of the footprint."""
-    half_width = 6
-    index = np.rint(centre).astype(np.int32)
+    index = np.rint(centre + off_centre).astype(np.int32)
     place = index[:, None] + np.arange(-half_width, half_width + 1)
     u = (np.arange(32) + 0.5) / 32 - 0.5
     spread = (u[:, None] * footprint_px[0] + u[None, :] * footprint_px[1]).ravel()
@@ -131,6 +132,16 @@ def test_errors_of_the_fit_are_those_it_states() -> None:
     # 4000 samples: the sd of an rms is 1/sqrt(8000), of a mean 1/sqrt(4000); four of them.
     assert 0.955 < np.sqrt((normalised**2).mean()) < 1.045
     assert abs(normalised.mean()) < 4 / np.sqrt(4000)
+
+
+def test_a_flat_top_is_centred_wherever_on_it_the_brightest_sample_lies() -> None:
+    rng = np.random.default_rng(7)
+    centre, off_centre = rng.uniform(30, 34, 1000), rng.uniform(-7, 7, 1000)
+    windows, black = curves(
+        centre, COSINE, rng, footprint_px=(19.0, 0.5), amplitude=600.0, half_width=18, off_centre=off_centre
+    )
+    fit = fitted(windows, black, COSINE, (19.0, 0.5), NoiseModel(16.0**2))
+    assert np.sqrt((((fit.place_px - centre) / fit.sd_px) ** 2).mean()) < 1.1
 
 
 def test_the_parabola_is_biased_where_the_fit_is_not() -> None:
