@@ -1,11 +1,12 @@
 """Rounds of one experiment with noise drawn anew, both methods on the same pixels."""
 
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 
 import numpy as np
 from jaxtyping import Bool
 
+from recon.evaluation.coverage import Coverage, coverage_of
 from recon.evaluation.spread import angle_between_rad
 from recon.maps import Maps
 from recon.reconstruct import Limits, cross_paths, maps_of
@@ -23,13 +24,40 @@ Sweeps = dict[tuple[str, str], SweepResult]
 class MethodErrors:
     """Errors of one method over all rounds.
 
-    ``kept`` is the share of judged pixels that pass the paper's tests and have a point.
+    ``kept`` is the share of judged pixels that pass the paper's tests and have a point. Coverage is that of the 95 % intervals of
+    all points that the method itself has, where it states their standard deviations.
     """
 
     position_rms: float
     normal_rms_deg: float
     normal_mean_deg: float
     kept: float
+    point_coverage: Coverage | None = None
+    normal_coverage: Coverage | None = None
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class _Stated:
+    """Errors of one round and the standard deviations that the method stated, single precision."""
+
+    point: np.ndarray
+    point_sd: np.ndarray
+    normal: np.ndarray
+    normal_sd: np.ndarray
+
+    @classmethod
+    def of(cls, maps: Maps, session: TrueSession) -> "_Stated | None":
+        if maps.normal_sd_rad is None:
+            return None
+        truth = session.truth
+        own = maps.valid() & truth.judged & np.isfinite(maps.normal).all(axis=2)
+        parts = (
+            np.linalg.norm(maps.point_mm[own] - truth.point_mm[own], axis=1),
+            maps.sd_mm[own],
+            angle_between_rad(maps.normal[own], truth.normal[own]),
+            maps.normal_sd_rad[own],
+        )
+        return cls(*(part.astype(np.float32) for part in parts))
 
 
 @dataclass(slots=True)
@@ -39,6 +67,7 @@ class _Sums:
     position: float = 0.0
     normal: float = 0.0
     normal_size: float = 0.0
+    stated: list[_Stated] = field(default_factory=list)
 
     def add(self, maps: Maps, session: TrueSession, found: Bool[np.ndarray, "rows cols"]) -> None:
         truth = session.truth
@@ -48,6 +77,18 @@ class _Sums:
         self.position += float(((maps.point_mm[found] - truth.point_mm[found]) ** 2).sum())
         self.normal += float((angle**2).sum())
         self.normal_size += float(angle.sum())
+        stated = _Stated.of(maps, session)
+        if stated is not None:
+            self.stated.append(stated)
+
+    def coverage(self, error: str, sd: str) -> Coverage | None:
+        """Return the coverage over all rounds together."""
+        if not self.stated:
+            return None
+        errors, sds = (
+            np.concatenate([getattr(one, name) for one in self.stated]).astype(np.float64) for name in (error, sd)
+        )
+        return coverage_of(errors, sds)
 
     def errors(self) -> MethodErrors:
         if not self.pixels:
@@ -57,6 +98,8 @@ class _Sums:
             normal_rms_deg=float(np.degrees(np.sqrt(self.normal / self.pixels))),
             normal_mean_deg=float(np.degrees(self.normal_size / self.pixels)),
             kept=self.pixels / self.judged if self.judged else 0.0,
+            point_coverage=self.coverage("point", "point_sd"),
+            normal_coverage=self.coverage("normal", "normal_sd"),
         )
 
 

@@ -24,12 +24,13 @@ from recon.surface.ray_chords import (
     Rays,
     ScalarMap,
     VectorMap,
+    bend_of,
     chords_of,
     measured_pixels,
     rays_of,
 )
 from recon.surface.sheets import NORMAL_CONSISTENT_MAD, Sheets, contradiction, sheets_of
-from recon.surface.sparse_solver import solver
+from recon.surface.sparse_solver import SparseSolver
 
 ROUNDS = 3
 # Geman and McClure's loss (1987) with this width keeps 95 % of the efficiency of least squares for Gaussian noise.
@@ -40,9 +41,9 @@ START_WINDOW_PX = 5
 # A measured distance that far from the median about it is a surface that bends, not noise.
 START_SD = 3.0
 # Each round solves for a correction, which need not be known more closely than this share of itself.
-CORRECTION_TOLERANCE = 1e-5
-# Standard deviations are estimated from this many draws over this window: good to a tenth.
-DRAWS = 6
+CORRECTION_TOLERANCE = 1e-4
+# Standard deviations are estimated from this many draws over this window: good to a tenth or better.
+DRAWS = 12
 DRAW_WINDOW_PX = 9
 DRAW_TOLERANCE = 1e-3
 DRAW_SEED = 20180601
@@ -128,8 +129,9 @@ def fuse_on_rays(
     chords = chords_of(rays, graph, distance)
     pairs = _cut(_reweighted(contradiction(chords, graph, rays, distance)), sheets)
     positions = _position_weights(rays, distance)
+    solver = SparseSolver()
     for _ in range(rounds if graph.pixels else 0):
-        distance = _solve(graph, rays, chords, _system(graph, rays, chords, pairs, positions), distance)
+        distance = _solve(graph, rays, chords, _system(graph, rays, chords, pairs, positions), distance, solver)
         if remeasure is not None:
             told_mm, told_sd_mm = remeasure(graph.on_grid(distance))
             told = measured_pixels(told_mm, told_sd_mm)
@@ -142,7 +144,9 @@ def fuse_on_rays(
     if graph.pixels:
         last = _system(graph, rays, chords, pairs, positions)
         scales = (positions.scale, pairs.scale)
-        errors[:, used] = _errors(graph, rays, chords, last, noise or _independent(rays, graph), distance, scales)
+        errors[:, used] = _errors(
+            graph, rays, chords, last, noise or _independent(rays, graph), distance, scales, solver
+        )
     point = np.full(origin_mm.shape, np.nan)
     point[used] = rays.origin + distance[:, None] * rays.direction
     return FusedSurface(
@@ -213,11 +217,14 @@ def _gather(graph: Neighbours, chords: Chords, per_chord: PerPair, per_pixel: Pe
     return total + np.bincount(graph.second, chords.at_second * per_chord, minlength=graph.pixels)
 
 
-def _solve(graph: Neighbours, rays: Rays, chords: Chords, system: _System, guess: PerPixel) -> PerPixel:
+def _solve(
+    graph: Neighbours, rays: Rays, chords: Chords, system: _System, guess: PerPixel, solver: SparseSolver
+) -> PerPixel:
     """Minimise Σ weight · residual² / variance over chords and measured distances, by a correction to ``guess``."""
     chord_pull = -system.chord_weight * chords.residual(graph, guess)
     right = _gather(graph, chords, chord_pull, system.own_weight * (rays.measured_mm - guess))
-    return guess + solver(system.matrix, relative_tolerance=CORRECTION_TOLERANCE)(right, np.zeros_like(guess))
+    solve = solver.solver(system.matrix, relative_tolerance=CORRECTION_TOLERANCE)
+    return guess + solve(right, np.zeros_like(guess))
 
 
 def _errors(
@@ -228,6 +235,7 @@ def _errors(
     noise: NoiseDraw,
     distance: PerPixel,
     scales: tuple[float, float],
+    solver: SparseSolver,
 ) -> Float64[np.ndarray, "draws pixels"]:
     """Return what draws of the measurements' noise do to the distances, through the very equations that were solved.
 
@@ -235,12 +243,13 @@ def _errors(
     normal serves two pairs on its line, and the distance comes from the same correspondences as the normal.
     """
     rng = np.random.default_rng(DRAW_SEED)
-    solve = solver(system.matrix, relative_tolerance=DRAW_TOLERANCE)
+    solve = solver.solver(system.matrix, relative_tolerance=DRAW_TOLERANCE)
     errors = np.empty((DRAWS, graph.pixels))
     for draw in errors:
         distance_error, normal_error = noise(rng, graph.on_grid(distance))
         tilt = scales[1] * normal_error[graph.mask]
-        per_chord = 0.5 * ((tilt[graph.first] + tilt[graph.second]) * chords.chord_mm).sum(axis=1)
+        per_chord = 0.5 * np.einsum("pi,pi->p", tilt[graph.first] + tilt[graph.second], chords.chord_mm)
+        per_chord -= bend_of(tilt, chords.chord_mm, graph)
         shift = np.where(rays.precision > 0, scales[0] * distance_error[graph.mask], 0.0)
         right = _gather(graph, chords, -system.chord_weight * per_chord, system.own_weight * shift)
         draw[:] = solve(right, np.zeros(graph.pixels))
@@ -260,16 +269,18 @@ def _independent(rays: Rays, graph: Neighbours) -> NoiseDraw:
     return draw
 
 
-def standard_deviation(errors: Float64[np.ndarray, "draws rows cols"], mask: Mask) -> ScalarMap:
-    """Return the root mean square of the draws, averaged over a small window, on which an uncertainty is smooth."""
-    total = _window_sum(np.where(mask, np.nan_to_num((errors**2).sum(axis=0)), 0.0))
-    count = _window_sum(mask.astype(np.float64))
+def standard_deviation(
+    errors: Float64[np.ndarray, "draws rows cols"], mask: Mask, *, window_px: int = DRAW_WINDOW_PX
+) -> ScalarMap:
+    """Return the root mean square of the draws, averaged over a window, on which an uncertainty is smooth."""
+    total = _window_sum(np.where(mask, np.nan_to_num((errors**2).sum(axis=0)), 0.0), window_px)
+    count = _window_sum(mask.astype(np.float64), window_px)
     return np.where(mask, np.sqrt(total / np.maximum(count, 1.0) / len(errors)), np.nan)
 
 
-def _window_sum(values: ScalarMap) -> ScalarMap:
-    """Sum over a small window, term by term: a running sum would leave large values' rounding on small ones."""
-    box = np.ones(DRAW_WINDOW_PX)
+def _window_sum(values: ScalarMap, window_px: int) -> ScalarMap:
+    """Sum over a window, term by term: a running sum would leave large values' rounding on small ones."""
+    box = np.ones(window_px)
     return correlate1d(correlate1d(values, box, axis=0, mode="constant"), box, axis=1, mode="constant")
 
 

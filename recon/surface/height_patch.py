@@ -12,12 +12,16 @@ from recon.surface.lateral_places import LateralPlaces
 from recon.surface.ray_chords import Mask, ScalarMap, VectorMap
 from recon.surface.window_quadratic import WindowFit
 
+Slopes = Float64[np.ndarray, "2 rows cols"]
+
 # One in a thousand smooth windows is turned down for its noise.
 REJECTED_SHARE = 1e-3
 # Residuals of the fused surface are those of neighbours that share their normals: they count half.
 INDEPENDENT_SHARE = 0.5
 # The bias of a window is taken from this many pixels across.
-BIAS_WINDOW_PX = 9
+BIAS_WINDOW_PX = 17
+# The tilts of a window nine pixels wide are alike over it, so that more of them are needed for their variance.
+TILT_WINDOW_PX = 17
 NEWTON_STEPS = 4
 # A window three pixels wide bends through a crease without a residual, but not without turning three of nine normals.
 CREASE_SHARE = 1 / 3 - 1e-6
@@ -75,14 +79,14 @@ def patch_of(
     fit: WindowFit,
     place: Sight,
     mask: Mask,
-    before: Float64[np.ndarray, "2 fields rows cols"],
+    before: Slopes,
     *,
     whole_bias: float,
-) -> tuple[Patch, Float64[np.ndarray, "2 fields rows cols"]]:
+) -> tuple[Patch, Slopes]:
     """Let each pixel's line of sight meet its polynomial, and carry the draws and the lateral place's sd along.
 
-    ``before`` are the slopes of the next smaller window; those of this one are returned for the next larger. ``whole_bias`` is
-    how much larger the bias of this window is than its difference from the smaller one's (:func:`whole_bias`).
+    ``before`` are the slopes of the next smaller window; those of this one are returned for the next larger. The bias
+    is ``whole_bias`` times their difference.
     """
     sight = place.sight
     along = np.zeros(mask.shape)
@@ -108,16 +112,19 @@ def patch_of(
         bend_p = 2 * twice[3] * move[..., 0] + twice[4] * move[..., 1]
         bend_q = twice[4] * move[..., 0] + 2 * twice[5] * move[..., 1]
         turn_variance += variance * _tilt_squared(bend_p, bend_q, normal, length)
-    tilts = np.sqrt(_tilt_squared(slopes[0][1:], slopes[1][1:], normal, length))
+    # A window at a rim is less sure of its slopes than one inside: what is alike is the noise, in units of that.
+    geometry = np.sqrt(fit.slope_variance(point[..., 0], point[..., 1]))
+    tilts = np.sqrt(_tilt_squared(slopes[0][1:], slopes[1][1:], normal, length)) / geometry
     lifted = standard_deviation(height[1:], mask) / length
-    now = np.stack(slopes)
+    now = np.stack([slopes[0][0], slopes[1][0]])
     bias_squared = whole_bias**2 * _bias_squared(now - before, mask, normal, length)
+    noise_squared = turn_variance + (geometry * standard_deviation(tilts, mask, window_px=TILT_WINDOW_PX)) ** 2
     patch = Patch(
         point=point,
         normal=normal,
         sd=np.sqrt(slide_variance + (lifted / facing) ** 2),
         across_sd=lifted,
-        normal_sd=np.sqrt(turn_variance + standard_deviation(tilts, mask) ** 2 + bias_squared),
+        normal_sd=np.sqrt(noise_squared + bias_squared),
     )
     return patch, now
 
@@ -131,23 +138,21 @@ def whole_bias(half_width: int, smaller: int) -> float:
     return bias / (bias - ((3 * smaller**2 + 3 * smaller - 1) / 5 if smaller else 0.0))
 
 
-def _bias_squared(
-    change: Float64[np.ndarray, "2 fields rows cols"], mask: Mask, normal: np.ndarray, length: np.ndarray
-) -> ScalarMap:
+def _bias_squared(change: Slopes, mask: Mask, normal: np.ndarray, length: np.ndarray) -> ScalarMap:
     """Return the squared tilt by which a larger window differs from a smaller one on the mean of many pixels.
 
-    What noise alone makes of that mean, as the draws show, is taken off. The rest is what a quadratic polynomial cannot
-    follow.
+    It is what a quadratic polynomial cannot follow, and what noise leaves of that mean. The latter is not taken off: a bias as
+    large could hide in it.
     """
     window = (BIAS_WINDOW_PX, BIAS_WINDOW_PX)
     count = cv2.boxFilter(mask.astype(np.float64), cv2.CV_64F, window, normalize=False, borderType=cv2.BORDER_CONSTANT)
     held = np.where(mask, np.clip(np.nan_to_num(change), -1e3, 1e3), 0.0)
-    flat = np.ascontiguousarray(np.moveaxis(held.reshape(-1, *mask.shape), 0, -1))
-    total = cv2.boxFilter(flat, cv2.CV_64F, window, normalize=False, borderType=cv2.BORDER_CONSTANT)
-    mean = np.moveaxis(total, -1, 0).reshape(change.shape) / np.maximum(count, 1.0)
-    seen = _tilt_squared(mean[0, 0], mean[1, 0], normal, length)
-    noise = _tilt_squared(mean[0, 1:], mean[1, 1:], normal, length).mean(axis=0)
-    return np.maximum(seen - noise, 0.0)
+    mean = [
+        cv2.boxFilter(slope, cv2.CV_64F, window, normalize=False, borderType=cv2.BORDER_CONSTANT)
+        / np.maximum(count, 1.0)
+        for slope in held
+    ]
+    return _tilt_squared(mean[0], mean[1], normal, length)
 
 
 def _tilt_squared(slope_p: np.ndarray, slope_q: np.ndarray, normal: np.ndarray, length: np.ndarray) -> np.ndarray:
@@ -156,13 +161,10 @@ def _tilt_squared(slope_p: np.ndarray, slope_q: np.ndarray, normal: np.ndarray, 
     return np.maximum(slope_p**2 + slope_q**2 - along**2, 0.0) / length**2
 
 
-def own_slopes(normal: VectorMap, mask: Mask, *, draws: int) -> Float64[np.ndarray, "2 fields rows cols"]:
-    """Return the slopes that the measured normals tell, with no draws of their noise."""
-    slopes = np.zeros((2, draws + 1, *mask.shape))
+def own_slopes(normal: VectorMap, mask: Mask) -> Slopes:
+    """Return the slopes that the measured normals tell."""
     up = np.where(mask, normal[..., 2], 1.0)
-    for axis in (0, 1):
-        slopes[axis, 0] = np.where(mask, -normal[..., axis] / up, 0.0)
-    return slopes
+    return np.stack([np.where(mask, -normal[..., axis] / up, 0.0) for axis in (0, 1)])
 
 
 def like_noise(fit: WindowFit, mask: Mask) -> Mask:

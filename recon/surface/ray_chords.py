@@ -86,32 +86,36 @@ def chords_of(rays: Rays, graph: Neighbours, distance: PerPixel) -> Chords:
     """Write down every pair's equation and its variance, for a surface near ``distance``."""
     first, second = graph.first, graph.second
     mean = rays.normal[first] + rays.normal[second]
-    mean /= np.maximum(np.linalg.norm(mean, axis=1, keepdims=True), np.finfo(float).tiny)
+    mean *= (1 / np.maximum(np.sqrt(_dot(mean, mean)), np.finfo(float).tiny))[:, None]
+    along_first, along_second = rays.direction[first], rays.direction[second]
     between = rays.origin[second] - rays.origin[first]
-    turn = rays.direction[second] - rays.direction[first]
     # The chord without the noise of the distances: go from ray to ray at the mean distance, then along the ray onto
     # the tangent plane.
-    across = between + (0.5 * (distance[first] + distance[second]))[:, None] * turn
-    along = 0.5 * (rays.direction[first] + rays.direction[second])
-    slope = (mean * along).sum(1)
+    chord_mm = between + (0.5 * (distance[first] + distance[second]))[:, None] * (along_second - along_first)
+    at_first, at_second = -_dot(mean, along_first), _dot(mean, along_second)
+    slope = 0.5 * (at_second - at_first)
     slope = np.where(np.abs(slope) > 1e-6, slope, 1e-6)
-    chord_mm = across - ((mean * across).sum(1) / slope)[:, None] * along
-    squared_length = (chord_mm**2).sum(1)
+    chord_mm -= (0.5 * _dot(mean, chord_mm) / slope)[:, None] * (along_first + along_second)
+    squared_length = _dot(chord_mm, chord_mm)
     if len(squared_length):
         # Two pixels that share a ray are as far apart as rounding says.
         squared_length = np.maximum(squared_length, 1e-6 * np.median(squared_length))
     # A normal serves both pairs on its line, so that along a line its error adds up whole: one tilt's variance a pixel.
     tilt_variance = 0.5 * (rays.tilt_variance[first] + rays.tilt_variance[second])
     return Chords(
-        at_first=-(mean * rays.direction[first]).sum(1),
-        at_second=(mean * rays.direction[second]).sum(1),
-        right=_bend(rays.normal, chord_mm, graph) - (mean * between).sum(1),
+        at_first=at_first,
+        at_second=at_second,
+        right=bend_of(rays.normal, chord_mm, graph) - _dot(mean, between),
         variance=np.maximum(squared_length * tilt_variance, _smallest_variance(rays)),
         chord_mm=chord_mm,
     )
 
 
-def _bend(
+def _dot(first: Float64[np.ndarray, "pairs 3"], second: Float64[np.ndarray, "pairs 3"]) -> PerPair:
+    return np.einsum("pi,pi->p", first, second)
+
+
+def bend_of(
     normal: Float64[np.ndarray, "pixels 3"], chord_mm: Float64[np.ndarray, "pairs 3"], graph: Neighbours
 ) -> PerPair:
     """Return by how much a chord leaves the mean tangent plane where the curvature changes along it: h³ κ' / 12.
@@ -119,9 +123,9 @@ def _bend(
     It is what the trapezium leaves out (Euler and Maclaurin), zero on planes and spheres. κ' comes from the chords before
     and after; where one is missing, nothing is put right.
     """
-    squared = np.maximum((chord_mm**2).sum(axis=1), np.finfo(float).tiny)
+    squared = np.maximum(_dot(chord_mm, chord_mm), np.finfo(float).tiny)
     length = np.sqrt(squared)
-    curvature = ((normal[graph.second] - normal[graph.first]) * chord_mm).sum(axis=1) / squared
+    curvature = _dot(normal[graph.second] - normal[graph.first], chord_mm) / squared
     before, after = pairs_beyond(graph)
     apart = length + 0.5 * (length[before] + length[after])
     change = (curvature[after] - curvature[before]) / apart

@@ -124,7 +124,7 @@ def _refine_tile(
     place = Sight.of(lateral, wide, middle_mm=middle, unit_mm=unit_mm, frame=frame)
     held = fit_here.copy()
     tilted = normal[wide] @ frame.T
-    before = own_slopes(tilted, fit_here, draws=len(errors))
+    before = own_slopes(tilted, fit_here)
     for smaller, half_width in pairwise((0, *HALF_WIDTHS_PX)):
         fit = fit_windows(local[..., 0], local[..., 1], fields, weight, half_width=half_width)
         held &= like_noise(fit, fit_here)

@@ -3,22 +3,19 @@
 from collections.abc import Callable
 
 import numpy as np
-import pyamg
 from jaxtyping import Float64
-from scipy.sparse import csr_array, csr_matrix, diags_array
-from scipy.sparse.linalg import LinearOperator, cg, splu
+from scipy.sparse import csr_array
+from scipy.sparse.linalg import splu
 
 from recon.errors import ReconError
+from recon.surface.multigrid import Multigrid
 
 RELATIVE_TOLERANCE = 1e-8
 MOST_ITERATIONS = 500
-# Vanek, Mandel and Brezina 1996: unknowns belong together where |a_ij| > θ √(a_ii a_jj), and what falls short of that is
-# lumped into the diagonal before the prolongation is smoothed.
-STRENGTH = ("symmetric", {"theta": 0.1})
-# Gershgorin's bound, row by row, in place of the spectral radius, whose estimate costs twenty times all the rest.
-SMOOTHING = ("jacobi", {"omega": 4 / 3, "weighting": "local", "filter_entries": True})
 # So few equations are quicker to factorise than to prepare a multigrid for.
 DIRECT_UNKNOWNS = 3000
+# With more steps than this, a hierarchy made for other weights costs more than a new one.
+MOST_WITH_OTHER_WEIGHTS = 40
 
 Vector = Float64[np.ndarray, " unknowns"]
 
@@ -27,40 +24,97 @@ class SolverError(ReconError):
     """The system of equations of a surface could not be solved."""
 
 
-def solver(matrix: csr_array, *, relative_tolerance: float = RELATIVE_TOLERANCE) -> Callable[[Vector, Vector], Vector]:
-    """Prepare to solve ``matrix @ x = right``; the function returned takes the right side and a first guess.
+class SparseSolver:
+    """Solves systems with one pattern, whose weights change little from one to the next: their multigrid is made once."""
 
-    Smoothed-aggregation multigrid preconditions conjugate gradients until the residual, on a unit diagonal, is
-    ``relative_tolerance`` of the right side. Small systems are factorised.
-    """
-    if matrix.shape[0] <= DIRECT_UNKNOWNS:
-        return _direct(matrix)
-    # The residual is measured on a unit diagonal, or the heaviest equations alone would decide when to stop.
-    scale = 1 / np.sqrt(matrix.diagonal())
-    scaled = (diags_array(scale) @ matrix @ diags_array(scale)).tocsr()
-    multigrid = _multigrid(matrix)
-    precondition = LinearOperator(scaled.shape, matvec=lambda residual: (multigrid @ (residual / scale)) / scale)
+    def __init__(self) -> None:
+        self._multigrid: Multigrid | None = None
 
-    def solve(right: Vector, guess: Vector) -> Vector:
-        scaled_right = scale * right
-        if not scaled_right.any():
-            return np.zeros_like(right)
-        solution, code = cg(
-            scaled,
-            scaled_right,
-            x0=guess / scale,
-            rtol=relative_tolerance,
-            maxiter=MOST_ITERATIONS,
-            M=precondition,
-        )
-        if code != 0 or not np.isfinite(solution).all():
-            raise SolverError(
-                f"the surface's {len(right)} equations did not converge in {MOST_ITERATIONS} steps; "
-                "check the normals and their standard deviations, or use a tighter mask"
+    def solver(
+        self, matrix: csr_array, *, relative_tolerance: float = RELATIVE_TOLERANCE
+    ) -> Callable[[Vector, Vector], Vector]:
+        """Prepare to solve ``matrix @ x = right``; the function returned takes the right side and a first guess.
+
+        Multigrid preconditions conjugate gradients until the residual, on a unit diagonal, is ``relative_tolerance`` of the
+        right side: the heaviest equations alone must not decide when to stop. Small systems are factorised.
+        """
+        if matrix.shape[0] <= DIRECT_UNKNOWNS:
+            return _direct(matrix)
+        inverse_diagonal = 1 / matrix.diagonal()
+
+        def solve(right: Vector, guess: Vector) -> Vector:
+            inherited = self._multigrid is not None
+            if self._multigrid is None:
+                self._multigrid = Multigrid.of(matrix)
+            steps = MOST_WITH_OTHER_WEIGHTS if inherited else MOST_ITERATIONS
+            tolerance = relative_tolerance * _size(right, inverse_diagonal)
+            found, converged = _conjugate_gradients(
+                matrix, right, guess, self._multigrid, inverse_diagonal, tolerance=tolerance, steps=steps
             )
-        return solution * scale
+            if not converged and inherited:
+                self._multigrid = Multigrid.of(matrix)
+                found, converged = _conjugate_gradients(
+                    matrix,
+                    right,
+                    guess,
+                    self._multigrid,
+                    inverse_diagonal,
+                    tolerance=tolerance,
+                    steps=MOST_ITERATIONS,
+                )
+            if not converged:
+                raise SolverError(
+                    f"the surface's {len(right)} equations did not converge in {MOST_ITERATIONS} steps; "
+                    "check the normals and their standard deviations, or use a tighter mask"
+                )
+            return found
 
-    return solve
+        return solve
+
+
+def solver(matrix: csr_array, *, relative_tolerance: float = RELATIVE_TOLERANCE) -> Callable[[Vector, Vector], Vector]:
+    """Prepare to solve one system, as :meth:`SparseSolver.solver` does."""
+    return SparseSolver().solver(matrix, relative_tolerance=relative_tolerance)
+
+
+def _conjugate_gradients(
+    matrix: csr_array,
+    right: Vector,
+    guess: Vector,
+    multigrid: Multigrid,
+    inverse_diagonal: Vector,
+    *,
+    tolerance: float,
+    steps: int,
+) -> tuple[Vector, bool]:
+    """Return the solution, and whether its residual fell to ``tolerance`` (Hestenes and Stiefel 1952, preconditioned)."""
+    if not right.any():
+        return np.zeros_like(right), True
+    solution = guess.copy()
+    residual = right - matrix @ solution
+    search, product = np.zeros_like(right), 1.0
+    for _ in range(steps):
+        if _size(residual, inverse_diagonal) <= tolerance:
+            return solution, True
+        upward = multigrid.cycle(residual)
+        before, product = product, _dot(residual, upward)
+        search = upward + (product / before) * search
+        along = matrix @ search
+        length = product / _dot(search, along)
+        if not np.isfinite(length):
+            return solution, False
+        solution += length * search
+        residual -= length * along
+    return solution, _size(residual, inverse_diagonal) <= tolerance
+
+
+def _dot(first: Vector, second: Vector) -> float:
+    # Not BLAS, whose threads wait for each other on a machine that does other work as well.
+    return float(np.einsum("i,i->", first, second))
+
+
+def _size(residual: Vector, inverse_diagonal: Vector) -> float:
+    return float(np.sqrt(np.einsum("i,i,i->", residual, residual, inverse_diagonal)))
 
 
 def _direct(matrix: csr_array) -> Callable[[Vector, Vector], Vector]:
@@ -69,18 +123,3 @@ def _direct(matrix: csr_array) -> Callable[[Vector, Vector], Vector]:
     except RuntimeError as error:
         raise SolverError(f"the surface's {matrix.shape[0]} equations are singular; use a tighter mask") from error
     return lambda right, _guess: factors.solve(right)
-
-
-def _multigrid(matrix: csr_array) -> LinearOperator:
-    """Smoothed aggregation, whose coarse grids keep constants and do not join across weak connections.
-
-    Robust weights spread over eight decades. Ruge–Stüben multigrid on the diagonally scaled system stalls there, because
-    scaling turns the slow errors from constants into something as rough as the weights; aggregates that ignore the
-    weights need three times as many steps.
-    """
-    # pyamg knows only the older matrix class with 32-bit indices.
-    older = csr_matrix(
-        (matrix.data, matrix.indices.astype(np.int32), matrix.indptr.astype(np.int32)), shape=matrix.shape
-    )
-    levels = pyamg.smoothed_aggregation_solver(older, strength=STRENGTH, smooth=SMOOTHING, max_coarse=200)
-    return levels.aspreconditioner(cycle="V")

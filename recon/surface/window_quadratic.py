@@ -40,8 +40,17 @@ class WindowFit:
 
     def value_variance(self, p: Map, q: Map) -> Map:
         """Return the variance of the value at one place a pixel, where the weights are one over independent variances."""
+        return self._variance(basis(p, q))
+
+    def slope_variance(self, p: Map, q: Map) -> Map:
+        """Return the summed variances of both slopes at one place a pixel, where the weights are one over variances."""
+        zero, one = np.zeros_like(p), np.ones_like(p)
+        along_p, along_q = (zero, one, zero, 2 * p, q, zero), (zero, zero, one, zero, p, 2 * q)
+        return self._variance(np.stack(along_p)) + self._variance(np.stack(along_q))
+
+    def _variance(self, right: Float64[np.ndarray, "terms rows cols"]) -> Map:
+        """Return the variance of this sum of the coefficients."""
         solved: list[np.ndarray] = []
-        right = basis(p, q)
         for row in range(TERMS):
             rest = right[row] - sum(self.factor[row, k] * solved[k] for k in range(row))
             solved.append(rest / self.factor[row, row])

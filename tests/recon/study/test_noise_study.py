@@ -10,6 +10,7 @@ from typer.testing import CliRunner
 
 from recon.cli import app
 from recon.errors import ReconError
+from recon.evaluation.coverage import coverage_of
 from recon.study.noise_rounds import noise_rounds
 from recon.study.noisy_sweeps import load_true_session, noisy_sweeps
 from recon.study.scenes import semi_ellipsoid
@@ -47,6 +48,25 @@ def test_points_without_noise_are_those_of_the_truth(session_folder: Path) -> No
     errors = noise_rounds(session, sd_px=1e-6, rounds=1, rng=np.random.default_rng(3))
     assert errors["paper"].position_rms < 1e-5
     assert errors["paper"].normal_rms_deg < 1e-4
+
+
+def test_coverage_of_errors_as_large_as_stated_is_95_percent_in_every_tenth() -> None:
+    rng = np.random.default_rng(4)
+    sd = rng.uniform(0.1, 3.0, 40_000)
+    error = np.linalg.norm(rng.standard_normal((len(sd), 2)), axis=1) * sd / np.sqrt(2)
+    found = coverage_of(error, sd)
+    # Binomial: 0.11 % for all, 0.34 % for a tenth; 4 sigma.
+    assert found.whole == pytest.approx(0.95, abs=0.0044)
+    assert found.by_decile == pytest.approx([0.95] * 10, abs=0.0138)
+    # Stated half as large as they are, the intervals hold 1 − 0.05^(1/4) of them.
+    assert coverage_of(error, sd / 2).whole == pytest.approx(1 - 0.05**0.25, abs=4 * 0.5 / np.sqrt(len(sd)))
+
+
+def test_intervals_of_the_full_method_are_told_and_the_paper_has_none(session_folder: Path) -> None:
+    errors = noise_rounds(load_true_session(session_folder), sd_px=0.2, rounds=1, rng=np.random.default_rng(6))
+    assert errors["paper"].point_coverage is None
+    told = errors["full"].point_coverage, errors["full"].normal_coverage
+    assert all(one is not None and 0.9 < one.whole < 0.99 for one in told)
 
 
 def test_the_critical_radius_is_that_of_a_ray_along_the_axis_for_a_camera_far_away() -> None:
