@@ -10,7 +10,7 @@ from recon.surface.refinement import RefinedSurface, refine_surface
 SD_MM, NORMAL_SD_RAD = 0.05, 0.004
 
 
-def roof(size: int = 24, slope: float = 0.4) -> Scene:
+def roof(size: int = 32, slope: float = 0.4) -> Scene:
     """Two planes that meet in a crease along the column in the middle."""
     scene = plane(size)
     side = np.sign(scene.point[..., 0])
@@ -37,7 +37,7 @@ def test_crease_keeps_its_height_and_the_normals_of_both_its_sides() -> None:
     )
     # The planes differ by 44°: a normal made of both sides would be off by more than any noise. 5 sd.
     assert after.max() < 5 * NORMAL_SD_RAD
-    away = (np.abs(scene.point[..., 0]) > 7)[scene.mask]
+    away = (np.abs(scene.point[..., 0]) > 6)[scene.mask]
     assert rms(after[away]) < rms(before[away]) / 1.5
 
 
