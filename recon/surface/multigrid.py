@@ -62,14 +62,14 @@ class Multigrid:
     def cycle(self, residual: Vector) -> Vector:
         """Return an approximate solution of the system for this right side: one symmetric V-cycle."""
         size = float(np.abs(residual).max())
-        if size == 0:
+        if not 0 < size < np.inf:
             return np.zeros_like(residual)
         # Single precision ends at 1e38, and residuals come in any unit.
         return self._cycle(0, (residual / size).astype(np.float32)).astype(np.float64) * size
 
     def _cycle(self, depth: int, right: np.ndarray) -> np.ndarray:
         if depth == len(self.levels):
-            return cho_solve(self.coarsest, right.astype(np.float64)).astype(np.float32)
+            return cho_solve(self.coarsest, right.astype(np.float64), check_finite=False).astype(np.float32)
         level = self.levels[depth]
         matrix, solution = level.matrix, np.zeros_like(right)
         _sweep(matrix, solution, right, forward=True)

@@ -84,7 +84,7 @@ class PathMeasurement:
         slide = liquid_mm + ((liquid_mm * self.paths.normal).sum(axis=1) / self.facing)[:, None] * direction
         there = np.einsum("pij,pj->pi", self._curvature(along), slide)
         distance_error = self.crossing.by_shift(liquid_mm - air_mm)
-        return self.on_grid(distance_error, self.readable), self.on_grid(normal_error - there, self.surface_pixel)
+        return self.on_grid(distance_error, self.surface_pixel), self.on_grid(normal_error - there, self.surface_pixel)
 
     def _curvature(self, along_mm: PerPath) -> Float64[np.ndarray, "pixels 3 3"]:
         point_mm = self.on_grid(self.paths.liquid.point_at(along_mm), self.surface_pixel)

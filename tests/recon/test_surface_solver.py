@@ -47,3 +47,10 @@ def test_no_convergence_is_one_sentence(monkeypatch: pytest.MonkeyPatch) -> None
 def test_singular_system_is_one_sentence() -> None:
     with pytest.raises(SolverError, match="singular"):
         solver(csr_array(np.array([[1.0, -1.0], [-1.0, 1.0]])))
+
+
+def test_right_side_that_is_not_a_number_is_one_sentence() -> None:
+    matrix, right, _ = system(100)
+    right[0] = np.nan
+    with pytest.raises(SolverError, match="did not converge"):
+        solver(matrix)(right, np.zeros_like(right))
