@@ -14,6 +14,10 @@ LOST_SHARE = 0.2
 SATURATED_SHARE = 0.01
 # Gaps are in units of their own sd; noise alone gives 1, and a slip of the display between sets far more.
 CHECK_GAP_RATIO = 2.0
+UNWATCHED = (
+    "Not checked: whether the object rose or sank when the tank was filled; nothing but reference photos would show it, and "
+    "there are none."
+)
 
 
 def verdict(
@@ -23,11 +27,14 @@ def verdict(
     gap_ratio: float | None,
     photos: tuple[PhotoQuality, ...],
     scene: tuple[str, ...] = (),
+    doubts: tuple[str, ...] = (),
+    unwatched: bool = False,
 ) -> Verdict:
     """Grade a result.
 
     ``gap_ratio`` is the median of |gap| over what noise predicts, None where no noise is known; ``scene`` is what the
-    reference photos say did not stay as it was.
+    reference photos say did not stay as it was, and ``doubts`` which assumptions the session itself contradicts. Nobody can know
+    whether the object stood still where it was ``unwatched``: without reference photos.
     """
     if funnel.entry_points < FEWEST_POINTS or funnel.entry_points < FAIL_SHARE * max(funnel.matched, 1):
         return Verdict(
@@ -56,6 +63,11 @@ def verdict(
             "display or object moved between sets, or a pose is wrong."
         )
         action = "Check that neither display nor object moved when the tank was filled, and measure the poses again."
+    if doubts:
+        reasons.extend(doubts)
+        action = (
+            "Find out what is there before you use the points about it; where the object moved, photograph it again."
+        )
     saturated = float(np.mean([photo.saturated_share > SATURATED_SHARE for photo in photos])) if photos else 0.0
     if saturated > 0:
         reasons.append(f"{saturated:.0%} of the photos are clipped over more than {SATURATED_SHARE:.0%} of their area.")
@@ -69,7 +81,8 @@ def verdict(
     fine = f"{funnel.entry_points} points; {funnel.entry_points / max(matched, 1):.1%} of the pixels matched on the object."
     if gap_ratio is not None:
         fine += f" Their light paths miss each other by {gap_ratio:.2f} times what noise explains (about 1 is good)."
-    return Verdict(grade="pass", reasons=(fine,), next_action=action)
+    reasons = [fine, *((UNWATCHED,) if unwatched else ())]
+    return Verdict(grade="pass", reasons=tuple(reasons), next_action=action)
 
 
 def _losses(maps: Maps, funnel: Funnel, *, share: float) -> tuple[str, ...]:

@@ -34,6 +34,9 @@ LOSS_WIDTH_SD = 3.787
 # Noise turns U×V, along which gaps are measured, and so fakes a response to motions that open no gap. A direction of which
 # it makes more than this share is not determined; the motion found along the others is at most as wrong, as a share.
 LARGEST_FAKED_SHARE = 0.05
+# A patch's mean gap: of so many pixels at least, and without stray ones.
+FEWEST_SHARING = 5
+STRAY_SD = 5.0
 # A pixel whose paths are so nearly parallel has no well-defined gap.
 ANGLE_SIGMA = 10.0
 
@@ -44,6 +47,7 @@ class GapFit:
 
     ``directions`` [6, determined]: the directions in the six numbers that gaps determine, orthonormal in units of what was known
     before. ``gap_before`` and ``gap_after``: the gap in standard deviations, a robust rms, 1 where noise alone parts the paths.
+    ``shared_before`` and ``shared_after``: what is alike within a patch, the rms of the patches' mean gaps over their own sds.
     """
 
     motions: Motions
@@ -51,6 +55,8 @@ class GapFit:
     directions: Float64[np.ndarray, "6 determined"]
     gap_before: float
     gap_after: float
+    shared_before: float
+    shared_after: float
 
 
 def fit_motions(
@@ -74,7 +80,7 @@ def fit_motions(
     """
     root = np.linalg.cholesky(known)
     motions = np.zeros(6)
-    before = _residuals(liquid_after(motions), air, shifts).rms
+    before = _residuals(liquid_after(motions), air, shifts)
     basis = np.eye(6)
     # First with all six numbers, held by what was known before; then without the directions that gaps do not tell.
     for restricted in (False, True):
@@ -97,7 +103,8 @@ def fit_motions(
         inner = _patch_covariance(residuals.slopes @ root @ basis, residuals, patch)
         inner = np.linalg.inv(np.linalg.inv(inner) + np.eye(len(inner)))
         covariance = root @ basis @ inner @ basis.T @ root.T
-    return GapFit(motions, covariance, basis, before, residuals.rms)
+    shared = (_shared_gap(one, patch) for one in (before, residuals))
+    return GapFit(motions, covariance, basis, before.rms, residuals.rms, *shared)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -127,6 +134,18 @@ def _residuals(liquid: LightPaths, air: LightPaths, shifts: Callable[[LightPaths
     scale = max(1.0, rms)
     weight = (1 + (normalised / (LOSS_WIDTH_SD * scale)) ** 2) ** -2 / scale**2
     return _Residuals(normalised, slopes, faked, np.where(used, weight, 0.0), rms)
+
+
+def _shared_gap(residuals: _Residuals, patch: np.ndarray) -> float:
+    """Return the rms over patches of their mean normalised gap, in units of what noise of each pixel by itself would leave."""
+    used = residuals.weight > 0
+    held = np.clip(residuals.normalised[used], -STRAY_SD, STRAY_SD)
+    count = np.bincount(patch[used])
+    several = count >= FEWEST_SHARING
+    if not several.any():
+        return 0.0
+    total = np.bincount(patch[used], held)[several]
+    return float(np.sqrt((total**2 / count[several]).mean()))
 
 
 def _gap_slopes(

@@ -17,6 +17,10 @@ SLIP_SD_MM = 2.0
 SLIP_SD_RAD = 0.02
 # One session in 16,000 that did not slip is corrected, by as little as its noise.
 SIGNIFICANT_SIGMA = 4.0
+# A slip of the display parts all paths by one law. Where a motion leaves gaps that whole patches share, and more than this part
+# of their mean square before, they have another cause, and the poses stay as they are.
+SOUND_SHARED_GAP = 3.0
+LARGEST_SHARE_LEFT = 0.5
 # A position is spoken of where it moved at all.
 TOLD_SIGMA = 3.0
 MOST_PIXELS = 20_000
@@ -106,7 +110,14 @@ def register(
     inner = fit.directions.T @ np.linalg.solve(root, np.linalg.solve(root, fit.covariance).T) @ fit.directions
     sigma = equivalent_sigma(place, inner)
     conflict = 0.0 if known is None else equivalent_sigma(place, inner + np.eye(len(place)))
-    return Registration(fit, sigma, applied=sigma > SIGNIFICANT_SIGMA, conflict_sigma=conflict)
+    applied = sigma > SIGNIFICANT_SIGMA and explains_gaps(fit)
+    return Registration(fit, sigma, applied=applied, conflict_sigma=conflict)
+
+
+def explains_gaps(fit: GapFit) -> bool:
+    """Tell whether the motions take away what gaps have in common within patches, as far as that is more than a little."""
+    left, before = fit.shared_after, fit.shared_before
+    return left < SOUND_SHARED_GAP or left**2 < LARGEST_SHARE_LEFT * before**2
 
 
 def registered(manifest: Manifest, motions: Motions) -> Manifest:

@@ -1,6 +1,7 @@
 """How the display slipped between air and liquid, as the gaps between the light paths tell it."""
 
 from recon.metrics import Metrics, RegistrationRecord
+from recon.registration.session_slips import SIGNIFICANT_SIGMA
 from recon.report.numbers import LengthUnit, number
 from recon.report.panel import Panel, Table
 
@@ -52,6 +53,8 @@ def _gaps(record: RegistrationRecord) -> Table:
 def _decision(record: RegistrationRecord) -> str:
     if record.applied:
         told = "were taken over"
+    elif record.directions and record.sigma > SIGNIFICANT_SIGMA:
+        told = "leave gaps that whole neighbourhoods share, so that these have another cause, and the poses were kept"
     elif record.directions:
         told = "are not significant and the poses were kept"
     else:

@@ -6,6 +6,8 @@ import numpy as np
 
 from recon.calibration.calibration_file import read_calibration
 from recon.calibration.session_calibration import calibration_path
+from recon.checks.assumption_check import assumption_doubts
+from recon.checks.shared_gaps import with_shared_gaps
 from recon.maps import Maps
 from recon.media.liquid_index import (
     chosen_index,
@@ -35,7 +37,7 @@ from recon.verdict import gap_ratio, statistic
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Outcome:
-    """What the stages made before anything is written."""
+    """What the stages made before anything is written; ``doubts``: the assumptions that the session contradicts."""
 
     maps: Maps
     mesh: Mesh | None
@@ -44,6 +46,7 @@ class Outcome:
     warnings: tuple[str, ...]
     registration: RegistrationRecord | None = None
     liquid_index: LiquidIndexRecord | None = None
+    doubts: tuple[str, ...] = ()
 
 
 def read_mask(session: Session) -> np.ndarray | None:
@@ -86,13 +89,17 @@ def reconstruct(
     if registration is not None:
         crossing = with_carried(crossing, registration, manifest)
     shape = (manifest.camera.rows, manifest.camera.columns)
+    if settings.method == "full":
+        crossing = with_shared_gaps(crossing, shape=shape, n_liquid=manifest.n_liquid(), n_air=manifest.n_air)
     maps = _with_path_count(maps_of(status, crossing, shape=shape, method=settings.method), sweeps, settings)
     surface = surface_of(maps, crossing, manifest, method=settings.method)
-    ratio = None
+    ratio: float | None = None
+    doubts: tuple[str, ...] = ()
     if settings.method == "full":
         # Those that miss by too much count as well: left out, a session that is wrong would look sound.
         crossed = np.isin(crossing.status, (PixelStatus.OK, PixelStatus.GAP_TOO_LARGE))
         ratio = gap_ratio(crossing.points.gap_mm[crossed], crossing.points.gap_sd_mm[crossed])
+        doubts = assumption_doubts(sweeps, crossing, surface.maps)
     told = registration.sentences(manifest.length_unit) if registration is not None else ()
     return Outcome(
         surface.maps,
@@ -102,6 +109,7 @@ def reconstruct(
         (*told, *index_sentences(index), *_warnings(manifest), *surface.warnings),
         record_of(registration) if registration is not None else None,
         index,
+        doubts,
     )
 
 

@@ -1,0 +1,1 @@
+"""What a session itself shows of the assumptions of the method, and what it cannot show."""

@@ -1,0 +1,95 @@
+"""What a session shows of the method's assumptions: traced through the simulator's optics, with one of them wrong at a time."""
+
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+from traced_session import Mishap, TracedSession, traced_session
+
+from recon.checks.shared_gaps import shared_gaps, with_shared_gaps
+from recon.checks.wet_spots import WetSpot, wet_spots
+from recon.reconstruct import Limits, cross_paths
+from recon.registration.registration_stage import registration_of
+from recon.registration.session_slips import SIGNIFICANT_SIGMA
+from recon.running.outcome import Outcome, reconstruct
+from recon.running.settings import Settings
+from recon.sessions.session import Session
+from recon.status import PixelStatus
+from recon.sweeps.correspondence import SweepResult
+from recon.sweeps.noise import NoiseModel
+from sim_backend.scene import Scene, load_scene
+from sim_backend.specimens import SlottedHemisphere
+
+
+@pytest.fixture(scope="module")
+def scene() -> Scene:
+    return load_scene("hemisphere").resized(camera_columns=96, display_columns=2048)
+
+
+def outcome_of(session: TracedSession) -> Outcome:
+    return reconstruct(Session(Path("no photos"), session.manifest, {}), session.sweeps, Settings())
+
+
+def test_nothing_is_doubted_where_nothing_is_wrong(scene: Scene) -> None:
+    assert outcome_of(traced_session(scene, noise_px=0.1)).doubts == ()
+
+
+def test_an_object_that_moved_aside_makes_points_and_normals_lean_against_each_other(scene: Scene) -> None:
+    session = traced_session(scene, noise_px=0.1, mishap=Mishap(object_shift_mm=(0.0, 0.3, 0.0)))
+    (told,) = outcome_of(session).doubts
+    assert "Points and normals lean against each other" in told
+
+
+def test_light_that_enters_again_is_no_slip_of_the_display_and_widens_the_standard_deviations(scene: Scene) -> None:
+    part = SlottedHemisphere(radius_mm=27.99, slot_mm=2.0, slot_depth_mm=8.0, slot_tilt_deg=10.0)
+    session = traced_session(scene.model_copy(update={"specimen": part}), noise_px=0.1)
+    registration = registration_of(session.sweeps, session.manifest)
+    assert registration is not None
+    assert registration.sigma > SIGNIFICANT_SIGMA
+    assert not registration.applied
+    _, crossing = cross_paths(session.sweeps, session.manifest, method="full", limits=Limits())
+    shape = (scene.camera.rows, scene.camera.columns)
+    _, shared = shared_gaps(crossing, shape=shape)
+    found = with_shared_gaps(crossing, shape=shape, n_liquid=1.3355, n_air=1.0)
+    np.testing.assert_array_equal(found.carried_mm2 > 0, shared.ravel()[crossing.pixels])
+    # The slot is on the side x > 0: the photo's right half, and it ends at the axis.
+    assert not shared[:, : shape[1] // 2 - 3].any()
+    assert shared[:, shape[1] // 2 + 3 :].sum() > 300
+
+
+SHAPE = (40, 40)
+AXES = ("x", "y")
+
+
+def sweeps_with(bad: dict[str, np.ndarray]) -> dict[tuple[str, str], SweepResult]:
+    """Return sweeps that are sound but where ``bad`` says, by the name of a set, that a curve is not that of one stripe."""
+    blank = np.zeros(SHAPE)
+    whole = SweepResult(blank, blank.astype(np.float32), blank.astype(np.uint8), NoiseModel(1.0), np.nan, (), ())
+    names = [f"pos{position}_{condition}" for condition in ("air", "liquid") for position in (0, 1)]
+    found = {}
+    for name in names:
+        status = np.where(bad.get(name, np.zeros(SHAPE, bool)), np.uint8(PixelStatus.BAD_FIT), np.uint8(PixelStatus.OK))
+        found |= {(name, axis): replace(whole, status=status) for axis in AXES}
+    return found
+
+
+def test_a_patch_that_is_bad_in_liquid_alone_is_a_spot_and_a_line_or_one_bad_in_air_is_not() -> None:
+    patch, line, both = (np.zeros(SHAPE, bool) for _ in range(3))
+    patch[10:14, 20:25] = True
+    line[30, 3:35] = True
+    both[20:24, 5:9] = True
+    sweeps = sweeps_with({"pos1_liquid": patch | line | both, "pos0_air": both})
+    status = np.where(patch | line | both, np.uint8(PixelStatus.BAD_FIT), np.uint8(PixelStatus.OK))
+    nowhere = np.zeros(SHAPE, bool)
+    assert wet_spots(sweeps, status, nowhere) == (WetSpot(row=11, col=22, pixels=20),)
+
+
+def test_a_ring_round_gaps_that_neighbours_share_is_one_spot_with_its_inside() -> None:
+    row, col = np.indices(SHAPE)
+    distance = np.hypot(row - 20, col - 12)
+    ring, inside = (distance > 3.5) & (distance < 5), distance < 2
+    status = np.where(ring, np.uint8(PixelStatus.BAD_FIT), np.uint8(PixelStatus.OK))
+    (spot,) = wet_spots(sweeps_with({"pos0_liquid": ring}), status, inside)
+    assert (spot.row, spot.col) == (20, 12)
+    assert spot.pixels == np.count_nonzero(distance < 5)
