@@ -53,7 +53,9 @@ def run(
     largest_gap_share: LargestGapShare = DEFAULT.largest_gap_share,
     gap_sigma: GapSigma = DEFAULT.gap_sigma,
     angle_sigma: AngleSigma = DEFAULT.angle_sigma,
-    threads: Annotated[int, typer.Option(min=0, help="Threads for decoding; 0 takes every core.")] = 0,
+    threads: Annotated[
+        int, typer.Option(min=0, help="Threads for decoding; 0 takes every core that memory allows.")
+    ] = 0,
     calibration: CalibrationFile = None,
     registration: RegistrationSwitch = True,
     board: BoardSwitch = True,

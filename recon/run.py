@@ -1,11 +1,11 @@
 """One session in, one folder of results out: the stages of ``recon run`` in order."""
 
-import os
 from collections.abc import Callable
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import replace
 from pathlib import Path
 
+from recon.batch.cores import usable_cores
 from recon.calibration.board_photos import has_board_photos
 from recon.calibration.board_stage import BoardStage, board_stage
 from recon.calibration.calibration_file import CALIBRATION_NAME, Calibration, read_calibration
@@ -28,6 +28,7 @@ from recon.stage_timer import StageTimer
 from recon.surface.files import CLOUD_NAME, GLB_NAME, MESH_NAME, write_cloud_ply, write_mesh_glb, write_mesh_ply
 from recon.sweeps.correspondence import SweepResult
 from recon.sweeps.correspondence_store import stored_or_decoded
+from recon.sweeps.decode_threads import decoding_threads
 
 
 def run_session(
@@ -148,12 +149,17 @@ def _keep_manifest(session_folder: Path, out: Path, calibration: Path | None, bo
 def decode_session(
     session: Session, settings: Settings, *, on_kept: Callable[[str], None] = lambda _: None
 ) -> dict[tuple[str, str], SweepResult]:
-    """Decode the eight sweeps, one a thread; those decoded before are only read, and ``on_kept`` hears of them."""
+    """Decode the eight sweeps, one a thread; those decoded before are only read, and ``on_kept`` hears of them.
+
+    There are as many threads as the settings say, or as the cores and the free memory allow.
+    """
     wanted = [(one, sweep) for one in session.manifest.sets for sweep in one.sweeps]
     total = sum(sweep.pattern.count for _, sweep in wanted)
     with (
         progress_bar("decoding photos", total) as step,
-        ThreadPoolExecutor(settings.threads or os.cpu_count()) as pool,
+        ThreadPoolExecutor(
+            settings.threads or decoding_threads(session, method=settings.method, cores=usable_cores())
+        ) as pool,
     ):
         running = [
             pool.submit(

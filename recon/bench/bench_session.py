@@ -1,5 +1,6 @@
 """Sessions of the benchmark: the same photos as JPEG of several sizes, each size a folder that ``recon`` opens like any other."""
 
+import json
 from contextlib import ExitStack
 from dataclasses import dataclass
 from pathlib import Path
@@ -8,6 +9,7 @@ import numpy as np
 import simplejpeg
 
 from recon.bench.bench_scene import ASPECT, BenchScene, bench_scene, photo
+from recon.errors import ReconError
 from recon.sessions.journal import now_text
 from recon.sessions.manifest import (
     CameraBody,
@@ -25,6 +27,7 @@ SET_NAME = "pos0_with"
 # Cameras of the paper's time halve the colours along rows alone.
 COLOUR_SUBSAMPLING = "422"
 QUALITIES = (1, 100)
+KEPT_NAME = "bench.json"
 
 
 @dataclass(frozen=True, slots=True)
@@ -35,6 +38,26 @@ class BenchSession:
     photos: int
     quality: int
     file_mb: float
+
+
+def kept_or_written(
+    folder: Path, *, columns: int, photos: int, photo_bytes: tuple[float, ...], seed: int
+) -> tuple[BenchSession, ...]:
+    """Return the sessions that an earlier run wrote into the folder with the same wishes, or write them."""
+    note = folder / KEPT_NAME
+    wishes = {"columns": columns, "photos": photos, "photo_bytes": list(photo_bytes), "seed": seed}
+    if not note.is_file():
+        made = write_bench_sessions(folder, columns=columns, photos=photos, photo_bytes=photo_bytes, seed=seed)
+        sizes = [[one.quality, one.file_mb] for one in made]
+        note.write_text(json.dumps({**wishes, "quality_and_mb": sizes}), encoding="utf-8")
+        return made
+    kept = json.loads(note.read_text(encoding="utf-8"))
+    if {name: kept[name] for name in wishes} != wishes:
+        raise ReconError(f"{folder}: holds photos of another benchmark; choose another folder, or remove this one")
+    return tuple(
+        BenchSession(folder / str(number), photos, quality, file_mb)
+        for number, (quality, file_mb) in enumerate(kept["quality_and_mb"])
+    )
 
 
 def write_bench_sessions(

@@ -8,7 +8,7 @@ import numpy as np
 
 from recon.bench.bench_result import Agreement, BenchResult, Measurement, Photos, Ratio
 from recon.bench.bench_scene import ASPECT
-from recon.bench.bench_session import BenchSession, write_bench_sessions
+from recon.bench.bench_session import BenchSession, kept_or_written
 from recon.bench.contestants import DECODING, FULL, LOOP, PAPER, RUNNING, STACK
 from recon.bench.machine import machine, memory_bytes
 from recon.bench.measurement import measured, own_processes
@@ -16,48 +16,72 @@ from recon.bench.measurement import measured, own_processes
 PAPER_PIXELS = 3888 * 2592
 # What an ordinary camera makes of 3888 × 2592 pixels; other sizes are scaled by their pixels.
 PAPER_PHOTO_MB = (1.0, 1.7, 4.0)
-USUAL = 1  # the size that everything is measured with
 LIBRARIES = ("numpy", "scipy", "opencv-contrib-python-headless", "simplejpeg", "refractive-scan")
 LARGEST_STACK_SHARE = 0.5
+# So many photos tell by themselves what one more costs, and naive scripts, whose cost is the same for every photo, take too long.
+LONG = 300
 
 OURS = (PAPER, FULL)
 NAIVE = (RUNNING, STACK)
 
 
 def benchmark(
-    folder: Path, *, columns: int, photos: int, seed: int, full: bool, command: str, say: Callable[[str], None]
+    folder: Path,
+    *,
+    columns: int,
+    photos: int,
+    photo_mb: tuple[float, ...] = PAPER_PHOTO_MB,
+    seed: int,
+    full: bool,
+    command: str,
+    say: Callable[[str], None],
 ) -> BenchResult:
     """Measure on ``photos`` photos of ``columns`` columns, which are written to ``folder``; ``say`` hears how far it is.
 
-    Without ``full`` the maximum-likelihood fit is left out. Raises ``ReconError`` where a measurement dies.
+    ``photo_mb`` are the sizes of a photo of 3888 × 2592 pixels; everything is measured with the middle one. Without ``full`` the
+    maximum-likelihood fit is left out. Raises ``ReconError`` where a measurement dies.
     """
     rows = round(columns * ASPECT)
-    wanted = tuple(mb * 1e6 * rows * columns / PAPER_PIXELS for mb in PAPER_PHOTO_MB)
+    wanted = tuple(mb * 1e6 * rows * columns / PAPER_PIXELS for mb in photo_mb)
+    middle = len(wanted) // 2
     before = machine()
-    say(f"writing {photos} photos of {columns} x {rows} px in {len(wanted)} sizes, and half as many")
-    sessions = write_bench_sessions(folder / "long", columns=columns, photos=photos, photo_bytes=wanted, seed=seed)
-    (short,) = write_bench_sessions(
-        folder / "short", columns=columns, photos=photos // 2, photo_bytes=wanted[USUAL : USUAL + 1], seed=seed
+    long = photos >= LONG
+    say(
+        f"writing {photos} photos of {columns} x {rows} px in {len(wanted)} sizes"
+        + ("" if long else ", and half as many")
     )
-    usual = sessions[USUAL]
+    sessions = kept_or_written(folder / "long", columns=columns, photos=photos, photo_bytes=wanted, seed=seed)
+    usual = sessions[middle]
     ours = OURS if full else (PAPER,)
-    tasks = [(session, one, 1) for session in sessions for one in (LOOP, DECODING, PAPER)]
-    tasks += [(usual, one, 1) for one in ours[1:]]
-    tasks += [(usual, one, 2) for one in (LOOP, DECODING, *ours)]
-    tasks += [(usual, RUNNING, 1)]
     notes = []
-    # A list of photos and the stack made of it are there at the same time.
-    stack_bytes = 2 * photos * rows * columns
-    if stack_bytes < LARGEST_STACK_SHARE * memory_bytes():
-        tasks += [(usual, STACK, 1)]
+    short: tuple[BenchSession, ...] = ()
+    if long:
+        notes.append(
+            f"{PAPER} of half as many photos and the naive scripts were left out: fewer than {LONG} photos tell them"
+        )
+        tasks = [(session, one, 1) for session in sessions for one in (DECODING, PAPER)]
+        tasks += [(usual, one, 1) for one in ours[1:]]
+        tasks += [(usual, one, 2) for one in (DECODING, *ours)]
     else:
-        notes.append(f"{STACK} was left out: it needs {stack_bytes / 1e9:.3g} GB")
-    tasks += [(short, one, 1) for one in ours]
+        short = kept_or_written(
+            folder / "short", columns=columns, photos=photos // 2, photo_bytes=wanted[middle : middle + 1], seed=seed
+        )
+        tasks = [(session, one, 1) for session in sessions for one in (LOOP, DECODING, PAPER)]
+        tasks += [(usual, one, 1) for one in ours[1:]]
+        tasks += [(usual, one, 2) for one in (LOOP, DECODING, *ours)]
+        tasks += [(usual, RUNNING, 1)]
+        # A list of photos and the stack made of it are there at the same time.
+        stack_bytes = 2 * photos * rows * columns
+        if stack_bytes < LARGEST_STACK_SHARE * memory_bytes():
+            tasks += [(usual, STACK, 1)]
+        else:
+            notes.append(f"{STACK} was left out: it needs {stack_bytes / 1e9:.3g} GB")
+        tasks += [(short[0], one, 1) for one in ours]
     found = []
     with own_processes() as processes:
         for session, contestant, threads in tasks:
             say(f"{contestant}: {session.photos} photos of {session.file_mb:.3g} MB, threads {threads}")
-            map_file = map_of(folder, contestant) if session is usual and threads == 1 else None
+            map_file = map_of(folder, contestant) if session is usual and threads == 1 and not long else None
             found.append(measured(processes, session, contestant, threads=threads, map_file=map_file))
     return BenchResult(
         command=command,
@@ -72,10 +96,10 @@ def benchmark(
                 columns=columns,
                 rows=rows,
             )
-            for one, size in zip((*sessions, short), (*wanted, wanted[USUAL]), strict=True)
+            for one, size in zip((*sessions, *short), (*wanted, *(wanted[middle] for _ in short)), strict=True)
         ),
         measurements=tuple(found),
-        ratios=(*ratios(found, photos=photos), ratio_of_one_more_photo(found, short, usual)),
+        ratios=(*ratios(found, photos=photos), *(ratio_of_one_more_photo(found, one, usual) for one in short)),
         agreement=tuple(agreement(folder, one) for one in NAIVE if map_of(folder, one).exists()),
         notes=tuple(notes),
     )

@@ -1,6 +1,7 @@
 """The ``recon bench`` command: how fast the correspondence stage is on this machine, beside decoding and naive scripts."""
 
 import tempfile
+from contextlib import ExitStack
 from pathlib import Path
 from typing import Annotated
 
@@ -24,6 +25,16 @@ def bench_command(
     size: Annotated[int, typer.Option(min=64, metavar="COLUMNS", help="Camera columns.")] = 3888,
     seed: Annotated[int, typer.Option(min=0, help="Start of the random numbers.")] = 0,
     full: Annotated[bool, typer.Option(help="Measure the full method as well; its fit takes most of the time.")] = True,
+    photo_mb: Annotated[
+        list[float] | None,
+        typer.Option(
+            min=0.1,
+            help="Size of a photo of 3888 × 2592 pixels, others in proportion; may be repeated. [default: 1, 1.7 and 4]",
+        ),
+    ] = None,
+    keep: Annotated[
+        Path | None, typer.Option(help="Folder where the photos stay, for a later run with the same options.")
+    ] = None,
     folder: Annotated[
         Path | None,
         typer.Option(help="Where the photos are written for a while. [default: the system's temporary folder]"),
@@ -34,19 +45,21 @@ def bench_command(
     Makes its own noisy photos. Prints JSON; progress and a table go to the error output.
     """
     # Loads the decoder, which would slow every other command.
-    from recon.bench.benchmark import benchmark
+    from recon.bench.benchmark import PAPER_PHOTO_MB, benchmark
 
     console = Console(stderr=True, soft_wrap=True, highlight=False, markup=False)
     command = (
         f"recon bench --photos {photos} --size {size}"
+        + "".join(f" --photo-mb {one:g}" for one in photo_mb or ())
         + (f" --seed {seed}" if seed else "")
         + ("" if full else " --no-full")
     )
-    with tempfile.TemporaryDirectory(prefix="recon-bench-", dir=folder) as name:
+    with ExitStack() as stack:
         result = benchmark(
-            Path(name),
+            keep or Path(stack.enter_context(tempfile.TemporaryDirectory(prefix="recon-bench-", dir=folder))),
             columns=size,
             photos=photos,
+            photo_mb=tuple(photo_mb or PAPER_PHOTO_MB),
             seed=seed,
             full=full,
             command=command,

@@ -99,8 +99,8 @@ def decoded(
         clipped=65_535,
         continuous=True,
     )
-    good = places.good
-    return Seen((places.fit.place_px - centre.ravel())[good], places.fit.sd_px[good])
+    good = np.isfinite(places.place_px)
+    return Seen((places.place_px - centre)[good], places.sd_px[good].astype(np.float64))
 
 
 def correspondence(_: Path, size: StudySize, tell: Tell) -> Findings:

@@ -9,7 +9,7 @@ from jaxtyping import Bool, Float32, Float64, UInt8
 
 from recon.metrics import PhotoQuality, SampleCurve
 from recon.sessions.manifest import Axis, CaptureSet, StripePattern
-from recon.sessions.photos import read_grey, saturation_count
+from recon.sessions.photos import Counts, read_grey, saturation_count
 from recon.sessions.session import Session
 from recon.status import PixelStatus
 from recon.sweeps.curve_reach import curve_half_width
@@ -26,6 +26,7 @@ PEAK_SIGMA = 6.0
 LEAST_PEAK_COUNTS = 2.0
 # Sharp profiles are seen in one or two photos; a broad footprint spreads them over some more.
 NEIGHBOURS_BEYOND_PROFILE = 3
+PIXELS_AT_ONCE = 1 << 15
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -33,7 +34,7 @@ class SweepResult:
     """Where each pixel saw the stripe: ``place_px`` in device pixels with ``sd_px``, NaN unless ``known``.
 
     A pixel of status TWO_PATHS saw it twice: ``place_px`` is that of the path with more light, ``second_px`` with
-    ``second_sd_px`` that of the other, NaN for all other pixels; None where the pattern or the method tells no two paths apart.
+    ``second_sd_px`` that of the other, NaN for all other pixels; None where no pixel did, or the method tells no two paths apart.
     """
 
     place_px: Float64[np.ndarray, "rows cols"]
@@ -64,7 +65,7 @@ def decode_sweep(
     assert isinstance(pattern, StripePattern)
     black, dark = _black_level(session, capture_set, axis)
     rise = max(PEAK_SIGMA * np.sqrt(dark), LEAST_PEAK_COUNTS)
-    floor = np.minimum(black + rise, np.iinfo(black.dtype).max).astype(black.dtype)
+    floor = lit_floor(black, rise)
     half_width = window_half_width(pattern, method)
     if method == "full":
         half_width = curve_half_width(
@@ -74,7 +75,11 @@ def decode_sweep(
             floor=floor,
             least=half_width,
         )
-    windows, photos = _stream(session, capture_set, axis, floor=floor, half_width=half_width, on_photo=on_photo)
+    # Two paths are for the fit to tell apart.
+    tracker = PeakTracker(floor, half_width=half_width, second=method == "full")
+    photos = _stream(session, capture_set, axis, tracker, clipped=saturation_count(black), on_photo=on_photo)
+    windows = tracker.finish()
+    del tracker
     clipped = saturation_count(black)
     if method == "paper":
         return place_by_parabola(windows, pattern, black=black, dark=dark, photos=photos)
@@ -87,6 +92,13 @@ def decode_sweep(
         photos=photos,
         continuous=session.manifest.display.continuous,
     )
+
+
+def lit_floor(black: Counts, rise: float) -> Counts:
+    """Return the counts [rows, cols] that a lit sample exceeds: ``rise`` above black, within the range of the samples."""
+    top = np.iinfo(black.dtype).max
+    up = black.dtype.type(min(int(rise), top))
+    return np.minimum(black, black.dtype.type(top - up)) + up
 
 
 def window_half_width(pattern: StripePattern, method: Method) -> int:
@@ -110,8 +122,16 @@ def _black_level(session: Session, capture_set: CaptureSet, axis: Axis) -> tuple
     variance = dark_variance(first, last)
     if (capture_set.name, "black", 0) in session.photos:
         return photo("black", 0), variance
-    spread = [photo(axis, numbers[round(share * (len(numbers) - 1))]) for share in (0.0, 0.25, 0.5, 0.75, 1.0)]
-    return np.median(np.stack(spread), axis=0).astype(first.dtype), variance
+    between = (photo(axis, numbers[round(share * (len(numbers) - 1))]) for share in (0.25, 0.5, 0.75))
+    return median_of_five(first, last, *between), variance
+
+
+def median_of_five(a: Counts, b: Counts, c: Counts, d: Counts, e: Counts) -> Counts:
+    """Return the median of five photos [rows, cols], pixel by pixel."""
+    # The two smaller of each pair's larger and smaller ones cannot be the median of the four; with the fifth, three remain.
+    low = np.maximum(np.minimum(a, b), np.minimum(c, d))
+    high = np.minimum(np.maximum(a, b), np.maximum(c, d))
+    return np.maximum(np.minimum(low, high), np.minimum(e, np.maximum(low, high)))
 
 
 def read_session_photo(
@@ -132,32 +152,30 @@ def _stream(
     session: Session,
     capture_set: CaptureSet,
     axis: Axis,
+    tracker: PeakTracker,
     *,
-    floor: np.ndarray,
-    half_width: int,
+    clipped: int,
     on_photo: Callable[[], None],
-) -> tuple[PeakWindows, tuple[PhotoQuality, ...]]:
-    tracker = PeakTracker(floor, half_width=half_width)
-    clipped = saturation_count(floor)
+) -> tuple[PhotoQuality, ...]:
     free: np.ndarray | None = None
     quality = []
     for index in session.photo_numbers(capture_set, axis):
         counts = read_session_photo(session, capture_set.name, axis, index, buffer=free)
         brightest = int(counts.max())
-        share = float((counts >= clipped).mean()) if brightest >= clipped else 0.0
+        share = np.count_nonzero(counts >= clipped) / counts.size if brightest >= clipped else 0.0
         quality.append(
             PhotoQuality(set=capture_set.name, sweep=axis, index=index, brightest=brightest, saturated_share=share)
         )
         free = tracker.feed(counts)
         on_photo()
-    return tracker.finish(), tuple(quality)
+    return tuple(quality)
 
 
 def _status(windows: PeakWindows, shape: tuple[int, int]) -> np.ndarray:
-    status = np.full(windows.peak_index.size, PixelStatus.OK, dtype=np.uint8)
-    status[windows.peak_index == NO_PEAK] = PixelStatus.UNLIT
-    edge = (windows.peak_index == 0) | (windows.peak_index == windows.photo_count - 1)
-    status[edge] = PixelStatus.SWEEP_EDGE
+    index = windows.peak_index
+    status = np.full(index.size, PixelStatus.OK, dtype=np.uint8)
+    status[index == NO_PEAK] = PixelStatus.UNLIT
+    status[(index == 0) | (index == windows.photo_count - 1)] = PixelStatus.SWEEP_EDGE
     return status.reshape(shape)
 
 
@@ -171,10 +189,13 @@ def place_by_parabola(
 ) -> SweepResult:
     """Return the vertex of the parabola through each pixel's three brightest samples, as the paper does."""
     status = _status(windows, black.shape)
+    place = np.full(black.size, np.nan)
     middle = windows.half_width
-    before, centre, after = (windows.samples[:, middle + k].astype(np.float64) for k in (-1, 0, 1))
-    index = windows.peak_index + parabola_offset(before, centre, after)
-    place = np.where(status.ravel() == PixelStatus.OK, pattern.first_px + pattern.step_px * index, np.nan)
+    for low in range(0, black.size, PIXELS_AT_ONCE):
+        part = low + np.flatnonzero(status.ravel()[low : low + PIXELS_AT_ONCE] == PixelStatus.OK)
+        before, centre, after = windows.samples[part, middle - 1 : middle + 2].T.astype(np.float64, order="C")
+        index = windows.peak_index[part] + parabola_offset(before, centre, after)
+        place[part] = pattern.first_px + pattern.step_px * index
     return SweepResult(
         place_px=place.reshape(black.shape),
         sd_px=np.full(black.shape, np.nan, dtype=np.float32),
@@ -197,34 +218,30 @@ def place_by_likelihood(
     continuous: bool,
 ) -> SweepResult:
     """Return the most likely place of the stripe in each pixel's window, with its standard deviation."""
-    status = _status(windows, black.shape).ravel()
-    pixels = np.flatnonzero(status == PixelStatus.OK)
+    status = _status(windows, black.shape)
     places = places_by_likelihood(
-        windows, pixels, pattern, black=black, dark_variance=dark, clipped=clipped, continuous=continuous
+        windows,
+        np.flatnonzero(status == PixelStatus.OK),
+        pattern,
+        black=black,
+        dark_variance=dark,
+        clipped=clipped,
+        continuous=continuous,
     )
-    good, fit = places.good, places.fit
-    status[pixels[~good]] = PixelStatus.BAD_FIT
-    place_map = np.full(black.size, np.nan)
-    sd_map = np.full(black.size, np.nan, dtype=np.float32)
-    place_map[pixels[good]] = fit.place_px[good]
-    sd_map[pixels[good]] = fit.sd_px[good]
-    light = np.full(black.size, np.nan)
-    light[pixels] = fit.amplitude
-    lit = (status != PixelStatus.UNLIT).reshape(black.shape)
-    half = less_than_half_seen(light.reshape(black.shape), lit).ravel() & np.isfinite(place_map)
-    two = places.two.some(~half[pixels[places.two.rows]])
-    second_map, second_sd_map = np.full(black.size, np.nan), np.full(black.size, np.nan, dtype=np.float32)
-    second_map[pixels[two.rows]], second_sd_map[pixels[two.rows]] = two.second.place_px, two.second.sd_px
-    status[pixels[two.rows]] = PixelStatus.TWO_PATHS
+    status[(status == PixelStatus.OK) & np.isnan(places.place_px)] = PixelStatus.BAD_FIT
+    half = less_than_half_seen(places.light, status != PixelStatus.UNLIT) & np.isfinite(places.place_px)
+    places.second_px[half] = places.second_sd_px[half] = np.nan
+    twice = np.isfinite(places.second_px)
+    status[twice] = PixelStatus.TWO_PATHS
     status[half] = PixelStatus.HALF_SEEN
     return SweepResult(
-        place_px=place_map.reshape(black.shape),
-        sd_px=sd_map.reshape(black.shape),
-        status=status.reshape(black.shape),
-        noise=places.noise,
-        misfit=float(np.median(fit.chi_square / fit.freedom)) if len(pixels) else float("nan"),
+        place_px=places.place_px,
+        sd_px=places.sd_px,
+        status=status,
+        noise=places.fits.noise,
+        misfit=places.misfit,
         photos=photos,
-        curves=sample_curves(windows, black, photos, pattern=pattern, place=place_map, fit=places),
-        second_px=second_map.reshape(black.shape),
-        second_sd_px=second_sd_map.reshape(black.shape),
+        curves=sample_curves(windows, black, photos, pattern=pattern, place=places.place_px, fit=places),
+        second_px=places.second_px if twice.any() else None,
+        second_sd_px=places.second_sd_px if twice.any() else None,
     )

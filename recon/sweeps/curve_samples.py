@@ -14,22 +14,28 @@ class CurveSamples:
     """Samples about the peak of each pixel.
 
     ``height`` is counts above black, ``usable`` tells which samples may be used (inside the sweep, not clipped), ``peak``
-    is the number of the stripe in the middle of the window and ``peak_px`` its place in device pixels.
+    is the number of the stripe in the middle of the window and ``peak_px`` its place in device pixels. A sample is a row, so
+    that a sum over the samples adds whole rows of pixels.
     """
 
-    height: Float32[np.ndarray, "pixels samples"]
-    usable: Bool[np.ndarray, "pixels samples"]
+    height: Float32[np.ndarray, "samples pixels"]
+    usable: Bool[np.ndarray, "samples pixels"]
     peak: Int64[np.ndarray, " pixels"]
     peak_px: Float64[np.ndarray, " pixels"]
 
     @property
     def half_width(self) -> int:
         """Return how many samples lie on each side of the peak."""
-        return self.height.shape[1] // 2
+        return len(self.height) // 2
 
     def some(self, pixels: np.ndarray) -> "CurveSamples":
         """Return the samples of some of the pixels."""
-        return CurveSamples(self.height[pixels], self.usable[pixels], self.peak[pixels], self.peak_px[pixels])
+        return CurveSamples(
+            self.height.take(pixels, axis=1),
+            self.usable.take(pixels, axis=1),
+            self.peak[pixels],
+            self.peak_px[pixels],
+        )
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -48,13 +54,14 @@ class SweepCurves:
     def samples(self, pixels: Int64[np.ndarray, " pixels"]) -> CurveSamples:
         """Make the samples of these pixels ready to fit."""
         windows, pattern = self.windows, self.table.pattern
-        counts = windows.samples[pixels]
+        counts = windows.samples[pixels].T.astype(np.float32, order="C")
         peak = windows.peak_index[pixels].astype(np.int64)
-        number = peak[:, None] + np.arange(-windows.half_width, windows.half_width + 1)
-        inside = (number >= 0) & (number < windows.photo_count)
+        usable = counts < np.float32(self.clipped)
+        for row, offset in enumerate(range(-windows.half_width, windows.half_width + 1)):
+            usable[row] &= (peak >= -offset) & (peak < windows.photo_count - offset)
         return CurveSamples(
-            height=counts.astype(np.float32) - self.black[pixels].astype(np.float32)[:, None],
-            usable=inside & (counts < self.clipped),
+            height=counts - self.black[pixels].astype(np.float32),
+            usable=usable,
             peak=peak,
             peak_px=pattern.first_px + pattern.step_px * peak.astype(np.float64),
         )

@@ -39,17 +39,18 @@ THINNEST_PX = 0.03
 GAUSSIAN_REACH_SD = 5.0
 
 
-Curves = Float32[np.ndarray, "shapes nodes alignments distances"]
+Curves = Float32[np.ndarray, "shapes nodes alignments entries"]
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class CurveTable:
     """The curves of one pattern: brightness 0 to 1 (``value``) and its derivative by the distance (``slope``).
 
-    ``log_width`` are the width nodes, ``spacing_px`` and ``reach_px`` the spacing and range of the distances (from the stripe's
-    centre to the footprint's), ``alignments_px`` the different places of a stripe's centre on its device pixel, and
-    ``alignment_of`` tells for stripe numbers from ``-pad`` on which of them each has. A curve is computed
-    when it is first ``fill``-ed in.
+    ``wider`` and ``wider_slope`` are by how much both differ at the next width. ``log_width`` are the width nodes, ``spacing_px``
+    and ``reach_px`` the spacing and range of the distances (from the stripe's centre to the footprint's), ``alignments_px`` the
+    different places of a stripe's centre on its device pixel, and ``alignment_of`` tells for stripe numbers from ``-pad`` on
+    which of them each has. On each side the entries go on for ``pad`` stripes, as dark as at the end of the range. A curve is
+    computed when it is first ``fill``-ed in.
     """
 
     pattern: StripePattern
@@ -62,18 +63,36 @@ class CurveTable:
     pad: int
     value: Curves
     slope: Curves
-    filled: Bool[np.ndarray, " curves"]
+    wider: Curves
+    wider_slope: Curves
+    filled: Bool[np.ndarray, "shapes nodes"]
+    compared: Bool[np.ndarray, "shapes nodes"]
 
     def fill(self, shape: Int64[np.ndarray, " pixels"], node: Int64[np.ndarray, " pixels"]) -> None:
         """Compute the curves of these shapes and widths, where that has not been done."""
-        nodes = len(self.log_width)
-        wanted = np.unique(shape * nodes + node)
-        for number in wanted[~self.filled[wanted]].tolist():
-            one, at = divmod(number, nodes)
-            for kind, offset_px in enumerate(self.alignments_px):
-                value, slope = _curve(float(np.exp(self.log_width[at])), one, float(offset_px), self)
-                self.value[one, at, kind], self.slope[one, at, kind] = value, slope
-            self.filled[number] = True
+        for one, at in _missing(self.filled, shape, node):
+            self._fill_one(one, at)
+
+    def fill_between(self, shape: Int64[np.ndarray, " pixels"], node: Int64[np.ndarray, " pixels"]) -> None:
+        """Compute the curves of these shapes, for widths between these nodes and the next."""
+        for one, at in _missing(self.compared, shape, node):
+            for number in (at, at + 1):
+                if not self.filled[one, number]:
+                    self._fill_one(one, number)
+            np.subtract(self.value[one, at + 1], self.value[one, at], out=self.wider[one, at])
+            np.subtract(self.slope[one, at + 1], self.slope[one, at], out=self.wider_slope[one, at])
+            self.compared[one, at] = True
+
+    def _fill_one(self, shape: int, node: int) -> None:
+        dark = self.pad * self.entries_a_step
+        for kind, offset_px in enumerate(self.alignments_px):
+            for curves, one in zip(
+                (self.value, self.slope),
+                _curve(float(np.exp(self.log_width[node])), shape, float(offset_px), self),
+                strict=True,
+            ):
+                curves[shape, node, kind] = np.pad(one, dark, mode="edge")
+        self.filled[shape, node] = True
 
     @property
     def entries_a_step(self) -> int:
@@ -86,9 +105,12 @@ class CurveTable:
         return np.clip(number, 0, len(self.log_width) - 1).astype(np.int64)
 
     def entry(self, distance_px: np.ndarray) -> np.ndarray:
-        """Return the number of the entry nearest to each distance; far distances lie where every curve is dark."""
+        """Return the number of the entry nearest to each distance; far distances lie where every curve is dark.
+
+        ``pad`` steps of the sweep beyond it, to either side, there are entries as well.
+        """
         number = np.rint((distance_px + self.reach_px) / self.spacing_px).astype(np.int64)
-        return np.clip(number, 0, round(2 * self.reach_px / self.spacing_px))
+        return np.clip(number, 0, round(2 * self.reach_px / self.spacing_px)) + self.pad * self.entries_a_step
 
 
 @lru_cache(maxsize=4)
@@ -107,8 +129,12 @@ def curve_table(pattern: StripePattern, *, half_width: int, continuous: bool) ->
     log_width = np.log(thinnest) + NODE_SPACING * np.arange(nodes)
     pad = half_width + 1
     alignments, alignment_of = _alignments(pattern, pad=pad, continuous=continuous)
+    entries = round(2 * reach / spacing) + 1 + 2 * pad * round(step / spacing)
     # Pages of memory that no shape fills are never taken.
-    size = (len(SHAPES), nodes, len(alignments), round(2 * reach / spacing) + 1)
+    value, slope, wider, wider_slope = (
+        np.zeros((len(SHAPES), nodes, len(alignments), entries), dtype=np.float32) for _ in range(4)
+    )
+    filled, compared = np.zeros((2, len(SHAPES), nodes), dtype=bool)
     return CurveTable(
         pattern=pattern,
         continuous=continuous,
@@ -118,10 +144,20 @@ def curve_table(pattern: StripePattern, *, half_width: int, continuous: bool) ->
         alignments_px=alignments,
         alignment_of=alignment_of,
         pad=pad,
-        value=np.zeros(size, dtype=np.float32),
-        slope=np.zeros(size, dtype=np.float32),
-        filled=np.zeros(len(SHAPES) * nodes, dtype=bool),
+        value=value,
+        slope=slope,
+        wider=wider,
+        wider_slope=wider_slope,
+        filled=filled,
+        compared=compared,
     )
+
+
+def _missing(known: np.ndarray, shape: np.ndarray, node: np.ndarray) -> list[tuple[int, int]]:
+    """Return the pairs of shape and node among those of the pixels that are not ``known``."""
+    wanted = np.zeros_like(known)
+    wanted[shape, node] = True
+    return [(int(one), int(at)) for one, at in np.argwhere(wanted & ~known)]
 
 
 def _alignments(pattern: StripePattern, *, pad: int, continuous: bool) -> tuple[np.ndarray, np.ndarray]:
@@ -137,9 +173,12 @@ def _alignments(pattern: StripePattern, *, pad: int, continuous: bool) -> tuple[
     return kinds, kind.astype(np.int64)
 
 
-def shape_of(box_px: Float64[np.ndarray, "pixels 2"], width_px: Float64[np.ndarray, " pixels"]) -> np.ndarray:
+def shape_of(
+    box_px: Float64[np.ndarray, "pixels 2"] | Float32[np.ndarray, "pixels 2"], width_px: Float64[np.ndarray, " pixels"]
+) -> Int64[np.ndarray, " pixels"]:
     """Return the number of the shape nearest to two boxes inside a footprint of this total standard deviation."""
-    large, small = box_px.max(axis=1), box_px.min(axis=1)
+    by_col, by_row = box_px.T.astype(np.float64)
+    large, small = np.maximum(by_col, by_row), np.minimum(by_col, by_row)
     share = np.minimum((large**2 + small**2) / 12 / np.maximum(width_px, 1e-12) ** 2, 1.0)
     ratio = small / np.maximum(large, 1e-12)
     share_step = np.rint(share * SHARE_STEPS).astype(np.int64)

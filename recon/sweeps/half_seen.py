@@ -6,7 +6,7 @@ through a pixel darkens its centre where it leaves less than half of the light.
 
 import cv2
 import numpy as np
-from jaxtyping import Bool, Float64
+from jaxtyping import Bool, Float
 
 HALF = 0.5
 # An edge is at most this far from the first dark pixel, since lens and sensor blur it.
@@ -17,7 +17,7 @@ FEWEST_WHOLE = 3
 
 
 def less_than_half_seen(
-    light: Float64[np.ndarray, "rows cols"], lit: Bool[np.ndarray, "rows cols"]
+    light: Float[np.ndarray, "rows cols"], lit: Bool[np.ndarray, "rows cols"]
 ) -> Bool[np.ndarray, "rows cols"]:
     """Return which lit pixels beside dark ones get less than half of the light of the whole pixels near them.
 

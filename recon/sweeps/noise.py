@@ -19,6 +19,7 @@ DARK_SHARE = 2e-3
 # A pixel is lit in one photo alone where the photos beside it hold less than this share of its light.
 LONE_SHARE = 0.01
 LARGEST_STEP_SHARE = 0.1
+COUNTED_AT_ONCE = 1 << 18
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -44,13 +45,34 @@ def dark_variance(first: np.ndarray, second: np.ndarray) -> float:
 
     Pixels that the stripe lights in one of them stand out and are left out, three rounds at five sigma.
     """
-    difference = second.astype(np.float64) - first.astype(np.float64)
-    limit = 5 * max(1.4826 * float(np.median(np.abs(difference))), 1.0) * np.sqrt(2)
+    difference, count = _differences(first.ravel(), second.ravel())
+    limit = 5 * max(1.4826 * _median_magnitude(difference, count), 1.0) * np.sqrt(2)
     for _ in range(3):
-        kept = difference[np.abs(difference) <= limit]
-        variance = float(kept.var()) / 2
+        kept = np.abs(difference) <= limit
+        mean = np.average(difference[kept], weights=count[kept])
+        variance = float(np.average((difference[kept] - mean) ** 2, weights=count[kept])) / 2
         limit = 5 * np.sqrt(2 * max(variance, ROUNDING_VARIANCE))
     return max(variance, ROUNDING_VARIANCE)
+
+
+def _differences(first: np.ndarray, second: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Return every difference of two arrays of whole counts [pixels], and how many pixels have it."""
+    lowest = int(second.min()) - int(first.max())
+    count = np.zeros(int(second.max()) - int(first.min()) - lowest + 1, dtype=np.int64)
+    for low in range(0, first.size, COUNTED_AT_ONCE):
+        part = slice(low, low + COUNTED_AT_ONCE)
+        difference = second[part].astype(np.int64) - first[part] - lowest
+        count += np.bincount(difference, minlength=len(count))
+    seen = np.flatnonzero(count)
+    return seen + lowest, count[seen]
+
+
+def _median_magnitude(difference: np.ndarray, count: np.ndarray) -> float:
+    """Return the median magnitude of differences, each of which so many pixels have."""
+    order = np.argsort(np.abs(difference))
+    up_to = np.cumsum(count[order])
+    middle = np.searchsorted(up_to, [(up_to[-1] - 1) // 2, up_to[-1] // 2], side="right")
+    return float(np.abs(difference)[order][middle].mean())
 
 
 def _clipped_variance(residual: np.ndarray) -> float:

@@ -18,8 +18,8 @@ from recon.sessions.photos import saturation_count
 from recon.sessions.session import Session
 from recon.status import PixelStatus
 from recon.sweeps.correspondence import LEAST_PEAK_COUNTS, PEAK_SIGMA, SweepResult
+from recon.sweeps.curve_fits import LARGEST_MISFIT
 from recon.sweeps.display_response import response_of, response_undone
-from recon.sweeps.likelihood import LARGEST_MISFIT
 from recon.sweeps.map_scatter import scatter_beyond_px
 from recon.sweeps.noise import ROUNDING_VARIANCE, NoiseModel, noise_from_residuals
 from recon.sweeps.photo_stream import black_photo, has_black, photo_stream

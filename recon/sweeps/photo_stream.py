@@ -28,7 +28,7 @@ def photo_stream(
         counts = read_session_photo(session, capture_set.name, axis, index)
         clipped = saturation_count(counts)
         brightest = int(counts.max())
-        share = float((counts >= clipped).mean()) if brightest >= clipped else 0.0
+        share = np.count_nonzero(counts >= clipped) / counts.size if brightest >= clipped else 0.0
         quality.append(
             PhotoQuality(set=capture_set.name, sweep=axis, index=index, brightest=brightest, saturated_share=share)
         )

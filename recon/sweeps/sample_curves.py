@@ -26,19 +26,11 @@ def sample_curves(
     lattice_cols = np.linspace(0, cols - 1, LATTICE + 2).astype(int)[1:-1]
     pixels = (lattice_rows[:, None] * cols + lattice_cols).ravel()
     place = place.ravel()
+    pixels = np.unique(pixels[np.isfinite(place[pixels])])
+    models = [None] * len(pixels) if fit is None or not len(pixels) else fit.fits.drawn(pixels).T
     return tuple(
-        _curve(
-            int(pixel),
-            windows,
-            cols,
-            photos,
-            black=black,
-            pattern=pattern,
-            place_px=float(place[pixel]),
-            fit=fit,
-        )
-        for pixel in np.unique(pixels)
-        if np.isfinite(place[pixel])
+        _curve(int(pixel), windows, cols, photos, black=black, pattern=pattern, place=place, model=model, fit=fit)
+        for pixel, model in zip(pixels, models, strict=True)
     )
 
 
@@ -50,19 +42,13 @@ def _curve(
     *,
     black: np.ndarray,
     pattern: StripePattern,
-    place_px: float,
+    place: np.ndarray,
+    model: np.ndarray | None,
     fit: LikelihoodPlaces | None,
 ) -> SampleCurve:
     number = windows.peak_index[pixel] + np.arange(-windows.half_width, windows.half_width + 1)
     inside = (number >= 0) & (number < windows.photo_count)
     x = pattern.first_px + pattern.step_px * number[inside].astype(np.float64)
-    model: tuple[float, ...] = ()
-    sd_px = None
-    if fit is not None:
-        row = int(np.searchsorted(fit.pixels, pixel))
-        height = fit.drawn(row, int(windows.peak_index[pixel]))[inside]
-        model = tuple((black.ravel()[pixel] + height).tolist())
-        sd_px = float(fit.fit.sd_px[row])
     return SampleCurve(
         row=pixel // cols,
         col=pixel % cols,
@@ -70,7 +56,7 @@ def _curve(
         axis=photos[0].sweep,
         place_px=tuple(x.tolist()),
         intensity=tuple(windows.samples[pixel][inside].astype(float).tolist()),
-        model=model,
-        peak_px=place_px,
-        sd_px=sd_px,
+        model=() if model is None else tuple((black.ravel()[pixel] + model[inside]).tolist()),
+        peak_px=float(place[pixel]),
+        sd_px=None if fit is None else float(fit.sd_px.ravel()[pixel]),
     )

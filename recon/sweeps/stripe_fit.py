@@ -7,13 +7,15 @@ measurement. Samples are independent with the variance of ``noise.py`` at the mo
 Where curves have flat tops and sharp corners, the place is the mean of its likelihood instead, and its sd the likelihood's.
 """
 
+from copy import copy
 from dataclasses import dataclass
 
 import numpy as np
 from jaxtyping import Float64, Int64
 
+from recon.sweeps.curve_lookup import looked_up
 from recon.sweeps.curve_samples import CurveSamples, SweepCurves
-from recon.sweeps.curve_table import NODE_SPACING, CurveTable
+from recon.sweeps.curve_table import CurveTable
 from recon.sweeps.noise import NoiseModel
 from recon.sweeps.stripe_scan import FINE_PLACES_A_PX, SCAN_STEPS, best_places, place_spread
 
@@ -25,7 +27,8 @@ SETTLED_WIDTH_SD = 0.2
 # Curves of narrower footprints have flat tops and sharp corners, on which curvature says nothing (device pixels).
 ANGULAR_HARD_PX = 0.3
 ANGULAR_STEPPED_PX = 0.6
-PIXELS_A_CHUNK = 8192
+# What is made of so many pixels stays in a core's own cache, and calls are few beside the work in them.
+PIXELS_A_BLOCK = 8192
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -36,7 +39,7 @@ class WidthPrior:
     log_width: Float64[np.ndarray, " pixels"]
     sd: Float64[np.ndarray, " pixels"]
 
-    def some(self, pixels: np.ndarray) -> "WidthPrior":
+    def some(self, pixels: np.ndarray | slice) -> "WidthPrior":
         """Return the prior of some of the pixels."""
         return WidthPrior(self.shape[pixels], self.log_width[pixels], self.sd[pixels])
 
@@ -58,40 +61,41 @@ class StripeFit:
     chi_square: Float64[np.ndarray, " pixels"]
     freedom: Float64[np.ndarray, " pixels"]
 
+    def some(self, pixels: np.ndarray | slice) -> "StripeFit":
+        """Return the fit of some of the pixels."""
+        return StripeFit(*(getattr(self, name)[pixels] for name in StripeFit.__slots__))
+
 
 def fit_stripe(
     curves: SweepCurves, pixels: Int64[np.ndarray, " pixels"], prior: WidthPrior, *, noise: NoiseModel
 ) -> StripeFit:
     """Fit the curve of every listed pixel, some thousands at a time so that memory stays small."""
-    table = curves.table
     result = StripeFit(*(np.full(len(pixels), np.nan) for _ in StripeFit.__slots__))
-    # Pixels of nearly one footprint stand together, so that a scan of many is one matrix product.
-    order = np.lexsort((prior.shape, table.nearest_node(prior.log_width)))
-    for low in range(0, len(order), PIXELS_A_CHUNK):
-        rows = order[low : low + PIXELS_A_CHUNK]
-        part = _fit_chunk(curves.samples(pixels[rows]), prior.some(rows), table=table, noise=noise)
+    for low in range(0, len(pixels), PIXELS_A_BLOCK):
+        rows = slice(low, low + PIXELS_A_BLOCK)
+        part = _fit_block(curves.samples(pixels[rows]), prior.some(rows), table=curves.table, noise=noise)
         for name in StripeFit.__slots__:
             getattr(result, name)[rows] = getattr(part, name)
     return result
 
 
-def _fit_chunk(samples: CurveSamples, prior: WidthPrior, *, table: CurveTable, noise: NoiseModel) -> StripeFit:
+def _fit_block(samples: CurveSamples, prior: WidthPrior, *, table: CurveTable, noise: NoiseModel) -> StripeFit:
     """Scan, walk, and where the curve is angular take the likelihood's own mean and spread."""
-    weight = (samples.usable / noise.variance(samples.height)).astype(np.float32)
-    start = best_places(samples, weight, black_weight=1 / noise.read_variance, log_width=prior.log_width, table=table)
+    black_weight = 1 / noise.read_variance
+    weight = weights_of(samples.height, samples, noise)
+    start = best_places(samples, weight, black_weight=black_weight, log_width=prior.log_width, table=table)
     start = _about_wide_tops(samples, start, step_px=table.pattern.step_px)
     # The samples' own counts gave the first weights; the curve's heights, free of their noise, give the last.
     curve, _, _ = looked_up(samples, start, prior.log_width, shape=prior.shape, table=table)
-    amplitude = _Linear(curve, weight, samples.height, 1 / noise.read_variance).amplitude
-    lit = amplitude.astype(np.float32)[:, None] * curve
-    weight = (samples.usable / noise.variance(lit)).astype(np.float32)
+    amplitude = _Linear(curve, weight, samples.height, _Sums(weight, samples.height, black_weight)).amplitude
+    weight = weights_of(np.multiply(amplitude.astype(np.float32), curve, out=curve), samples, noise)
     angular = np.flatnonzero(np.exp(prior.log_width) < _angular_px(table))
     if len(angular) == 0:
         return _walk(samples, start, prior, weight, table=table, noise=noise)
     spread = place_spread(
         samples.some(angular),
-        weight[angular],
-        black_weight=1 / noise.read_variance,
+        weight[:, angular],
+        black_weight=black_weight,
         log_width=prior.log_width[angular],
         width_sd=prior.sd[angular],
         shape=prior.shape[angular],
@@ -111,13 +115,24 @@ def _fit_chunk(samples: CurveSamples, prior: WidthPrior, *, table: CurveTable, n
     return fit
 
 
+def weights_of(height: np.ndarray, samples: CurveSamples, noise: NoiseModel) -> np.ndarray:
+    """Return one over the variance that samples of these heights have; zero for those that may not be used."""
+    weight: np.ndarray = np.reciprocal(noise.variance(height), dtype=np.float32)
+    if not samples.usable.all():
+        weight[~samples.usable] = 0.0
+    return weight
+
+
 def _about_wide_tops(samples: CurveSamples, start: np.ndarray, *, step_px: float) -> np.ndarray:
     """Begin in the middle of a top that is wider than the scan; its brightest sample may be anywhere on it."""
-    top = samples.height > 0.5 * samples.height[:, samples.half_width, None]
-    count = top.sum(axis=1)
-    number = np.arange(-samples.half_width, samples.half_width + 1)
-    middle = samples.peak_px + step_px * (top @ number) / np.maximum(count, 1)
-    return np.where(count > 2 * SCAN_STEPS, middle, start)
+    top = samples.height > 0.5 * samples.height[samples.half_width]
+    count = np.add.reduce(top, axis=0, dtype=np.float32)
+    wide = np.flatnonzero(count > 2 * SCAN_STEPS)
+    if len(wide):
+        number = np.arange(-samples.half_width, samples.half_width + 1)
+        middle = np.einsum("s,sp->p", number, top[:, wide]) / count[wide]
+        start[wide] = samples.peak_px[wide] + step_px * middle
+    return start
 
 
 def _angular_px(table: CurveTable) -> float:
@@ -138,45 +153,46 @@ def _walk(
 ) -> StripeFit:
     """Walk place and width to the least chi-square by Gauss–Newton."""
     fit = StripeFit(*(np.zeros(len(start)) for _ in StripeFit.__slots__))
-    fit.place_px[:], fit.log_width[:] = start, prior.log_width
-    tried = np.stack([start, prior.log_width], axis=1)
-    least = np.full(len(start), np.inf)
+    sums = _Sums(weight, samples.height, 1 / noise.read_variance)
+    place, log_width = start, prior.log_width
+    best: _Linearised | None = None
     moving = np.arange(len(start))
-    limit = np.array([LARGEST_STEP * table.pattern.step_px, LARGEST_STEP])
     lowest, highest = table.log_width[[0, -1]]
-    for _ in range(GAUSS_NEWTON_STEPS):
-        now = _linearise(
-            samples.some(moving),
-            tried[moving, 0],
-            tried[moving, 1],
-            prior.some(moving),
-            weight[moving],
-            table=table,
-            noise=noise,
-        )
-        better = now.objective <= least[moving]
-        taken = moving[better]
-        fit.place_px[taken], fit.log_width[taken] = tried[taken].T
-        least[taken] = now.objective[better]
-        for name in ("sd_px", "amplitude", "background", "width_information", "chi_square", "freedom"):
-            getattr(fit, name)[taken] = getattr(now, name)[better]
-        step = np.clip(np.stack([now.place_step_px, now.width_step], axis=1), -limit, limit)
-        # A step that made things worse is tried again at a third of its length.
-        back = np.stack([fit.place_px, fit.log_width], axis=1)[moving]
-        tried[moving] = np.where(better[:, None], tried[moving] + step, back + (tried[moving] - back) / 3)
-        tried[moving, 1] = np.clip(tried[moving, 1], lowest, highest)
+    for last in (False,) * (GAUSS_NEWTON_STEPS - 1) + (True,):
+        now = _linearise(samples, place, log_width, prior, weight, sums, table=table)
+        better = np.ones(len(place), dtype=bool) if best is None else now.objective <= best.objective
         settled = np.abs(now.place_step_px) <= SETTLED_SD * now.sd_px
         settled &= np.abs(now.width_step) <= SETTLED_WIDTH_SD * now.width_sd
-        moving = moving[~(settled & better)]
-        if len(moving) == 0:
+        settled &= better
+        limit_px = LARGEST_STEP * table.pattern.step_px
+        place = now.place_px + np.clip(now.place_step_px, -limit_px, limit_px)
+        log_width = now.log_width + np.clip(now.width_step, -LARGEST_STEP, LARGEST_STEP)
+        if best is not None and not better.all():
+            # A step that made things worse is tried again at a third of its length.
+            place = np.where(better, place, best.place_px + (now.place_px - best.place_px) / 3)
+            log_width = np.where(better, log_width, best.log_width + (now.log_width - best.log_width) / 3)
+            now = now.where(better, best)
+        log_width = np.clip(log_width, lowest, highest)
+        best = now
+        ended = np.arange(len(place)) if last else np.flatnonzero(settled)
+        if len(ended) == 0:
+            continue
+        for name in StripeFit.__slots__:
+            getattr(fit, name)[moving[ended]] = getattr(best, name)[ended]
+        if len(ended) == len(place):
             break
+        rest = np.flatnonzero(~settled)
+        moving, place, log_width, best = moving[rest], place[rest], log_width[rest], best.some(rest)
+        samples, prior, weight, sums = samples.some(rest), prior.some(rest), weight.take(rest, axis=1), sums.some(rest)
     return fit
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class _Linearised:
-    """The state at the present place and width, and the next Gauss–Newton step."""
+    """The state at one place and width, and the next Gauss–Newton step."""
 
+    place_px: np.ndarray
+    log_width: np.ndarray
     place_step_px: np.ndarray
     width_step: np.ndarray
     width_sd: np.ndarray
@@ -188,6 +204,16 @@ class _Linearised:
     objective: np.ndarray  # chi-square with the prior's part
     freedom: np.ndarray
 
+    def some(self, pixels: np.ndarray) -> "_Linearised":
+        """Return the state of some of the pixels."""
+        return _Linearised(*(getattr(self, name)[pixels] for name in _Linearised.__slots__))
+
+    def where(self, here: np.ndarray, other: "_Linearised") -> "_Linearised":
+        """Return this state ``here``, and the other one elsewhere."""
+        return _Linearised(
+            *(np.where(here, getattr(self, name), getattr(other, name)) for name in _Linearised.__slots__)
+        )
+
 
 def _linearise(
     samples: CurveSamples,
@@ -195,36 +221,36 @@ def _linearise(
     log_width: np.ndarray,
     prior: WidthPrior,
     weight: np.ndarray,
+    sums: "_Sums",
     *,
     table: CurveTable,
-    noise: NoiseModel,
 ) -> _Linearised:
     """Solve for amplitude and background, remove from both derivatives what these could do instead, and step."""
     curve, by_place, by_width = looked_up(samples, place, log_width, shape=prior.shape, table=table)
-    # The black photo is one more measurement of the background.
-    black_weight = 1 / noise.read_variance
-    linear = _Linear(curve, weight, samples.height, black_weight)
+    linear = _Linear(curve, weight, samples.height, sums)
     amplitude, background = linear.amplitude, linear.background
-    lit = amplitude.astype(np.float32)[:, None] * curve
-    residual = samples.height - lit - background.astype(np.float32)[:, None]
-    weighted_residual = weight * residual
     place_part, width_part = weight * by_place, weight * by_width
     place_pull, width_pull = linear.explained(place_part), linear.explained(width_part)
     square = amplitude**2
-    information = square * (_row_sums(place_part, by_place) - linear.product(place_pull, place_pull))
-    mixed = square * (_row_sums(place_part, by_width) - linear.product(place_pull, width_pull))
-    own_width = np.maximum(square * (_row_sums(width_part, by_width) - linear.product(width_pull, width_pull)), 0.0)
+    information = square * (summed(place_part, by_place) - linear.product(place_pull, place_pull))
+    mixed = square * (summed(place_part, by_width) - linear.product(place_pull, width_pull))
+    own_width = np.maximum(square * (summed(width_part, by_width) - linear.product(width_pull, width_pull)), 0.0)
+    curve *= amplitude.astype(np.float32)
+    residual = np.subtract(samples.height, curve, out=curve)
+    residual -= background.astype(np.float32)
     precision = 1 / prior.sd**2
-    place_gradient = amplitude * _row_sums(by_place, weighted_residual)
-    width_gradient = amplitude * _row_sums(by_width, weighted_residual) + precision * (prior.log_width - log_width)
+    place_gradient = amplitude * summed(place_part, residual)
+    width_gradient = amplitude * summed(width_part, residual) + precision * (prior.log_width - log_width)
     both = own_width + precision
     # What is left for the place when the width may move with it.
     left = np.maximum(information - mixed**2 / both, 1e-12)
     # Where the curve is flat the step stays within the distance to the next sample.
     damped = left + 1 / (LARGEST_STEP * table.pattern.step_px) ** 2
     place_step = (place_gradient - mixed / both * width_gradient) / damped
-    chi_square = _row_sums(weighted_residual, residual) + black_weight * background**2
+    chi_square = np.einsum("sp,sp,sp->p", weight, residual, residual) + sums.black_weight * background**2
     return _Linearised(
+        place_px=place,
+        log_width=log_width,
         place_step_px=place_step,
         width_step=(width_gradient - mixed * place_step) / both,
         width_sd=1 / np.sqrt(both),
@@ -234,27 +260,44 @@ def _linearise(
         width_information=np.maximum(own_width - mixed**2 / np.maximum(information, 1e-12), 0.0),
         chi_square=chi_square,
         objective=chi_square + precision * (log_width - prior.log_width) ** 2,
-        freedom=np.maximum(samples.usable.sum(axis=1) - 2.0 - own_width / both, 1.0),
+        freedom=np.maximum(sums.usable - 2.0 - own_width / both, 1.0),
     )
+
+
+class _Sums:
+    """The sums over the samples in which neither place nor width appears."""
+
+    def __init__(self, weight: np.ndarray, height: np.ndarray, black_weight: float) -> None:
+        self.black_weight = black_weight
+        # The black photo is one more measurement of the background.
+        self.s_1 = _total(weight) + black_weight
+        self.s_y = summed(weight, height)
+        self.usable = np.add.reduce(weight > 0, axis=0, dtype=np.float32).astype(np.float64)
+
+    def some(self, pixels: np.ndarray) -> "_Sums":
+        """Return the sums of some of the pixels."""
+        those = copy(self)
+        those.s_1, those.s_y, those.usable = self.s_1[pixels], self.s_y[pixels], self.usable[pixels]
+        return those
 
 
 class _Linear:
     """Amplitude and background at a given place and width, by the two normal equations."""
 
-    def __init__(self, curve: np.ndarray, weight: np.ndarray, height: np.ndarray, black_weight: float) -> None:
+    def __init__(self, curve: np.ndarray, weight: np.ndarray, height: np.ndarray, sums: _Sums) -> None:
         self._curve = curve
         weighted = weight * curve
-        self._s_mm = _row_sums(weighted, curve) + 1e-12
-        self._s_m = weighted.sum(axis=1, dtype=np.float64)
-        self._s_1 = weight.sum(axis=1, dtype=np.float64) + black_weight
+        self._s_mm = summed(weighted, curve) + 1e-12
+        self._s_m = _total(weighted)
+        self._s_1 = sums.s_1
         self._determinant = np.maximum(self._s_mm * self._s_1 - self._s_m**2, 1e-7 * self._s_mm * self._s_1)
-        s_my, s_y = _row_sums(weighted, height), _row_sums(weight, height)
-        self.amplitude = (self._s_1 * s_my - self._s_m * s_y) / self._determinant
-        self.background = (self._s_mm * s_y - self._s_m * s_my) / self._determinant
+        s_my = summed(weighted, height)
+        self.amplitude = (self._s_1 * s_my - self._s_m * sums.s_y) / self._determinant
+        self.background = (self._s_mm * sums.s_y - self._s_m * s_my) / self._determinant
 
     def explained(self, weighted: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """Return the products of a weighted derivative with the derivatives by amplitude and by background."""
-        return _row_sums(weighted, self._curve), weighted.sum(axis=1, dtype=np.float64)
+        return summed(weighted, self._curve), _total(weighted)
 
     def product(self, a: tuple[np.ndarray, np.ndarray], b: tuple[np.ndarray, np.ndarray]) -> np.ndarray:
         """Return aᵀ N⁻¹ b with the normal matrix N: what amplitude and background take of an information."""
@@ -262,54 +305,11 @@ class _Linear:
         return cross / self._determinant
 
 
-def looked_up(
-    samples: CurveSamples, place: np.ndarray, log_width: np.ndarray, *, shape: np.ndarray, table: CurveTable
-) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Return each pixel's curve at its samples, and the derivatives by place and by the width's logarithm."""
-    _, nodes, kinds, entries = table.value.shape
-    node = np.clip(((log_width - table.log_width[0]) / NODE_SPACING).astype(np.int64), 0, len(table.log_width) - 2)
-    table.fill(np.concatenate([shape, shape]), np.concatenate([node, node + 1]))
-    share = np.clip((log_width - table.log_width[node]) / NODE_SPACING, 0.0, 1.0).astype(np.float32)[:, None]
-    distance = place - samples.peak_px
-    entry = table.entry(distance)
-    rest = (distance + table.reach_px - entry * table.spacing_px).astype(np.float32)[:, None]
-    offset = np.arange(-samples.half_width, samples.half_width + 1)
-    index = np.clip(entry[:, None] - table.entries_a_step * offset, 0, entries - 1)
-    if kinds > 1:
-        index += table.alignment_of[samples.peak[:, None] + offset + table.pad] * entries
-    index += ((shape * nodes + node) * (kinds * entries))[:, None]
-    values, slopes = table.value.ravel(), table.slope.ravel()
-    beyond = index + kinds * entries
-    curve, slope = values.take(index), slopes.take(index)
-    by_width, slope_by_width = values.take(beyond) - curve, slopes.take(beyond) - slope
-    slope += share * slope_by_width
-    curve += share * by_width + rest * slope
-    by_width /= np.float32(NODE_SPACING)
-    return curve, slope, by_width
+def summed(first: np.ndarray, second: np.ndarray) -> np.ndarray:
+    """Return the sum over the samples of a product, without the array of products."""
+    return np.einsum("sp,sp->p", first, second).astype(np.float64)
 
 
-def leverage_of(
-    samples: CurveSamples, fit: StripeFit, prior: WidthPrior, *, table: CurveTable, noise: NoiseModel
-) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Return the fitted height, the residual and the leverage of every sample.
-
-    The leverage is the share of a sample's noise that the fit follows: a residual has (1 − leverage) times its variance.
-    """
-    curve, by_place, by_width = looked_up(samples, fit.place_px, fit.log_width, shape=prior.shape, table=table)
-    amplitude = fit.amplitude[:, None].astype(np.float32)
-    lit = amplitude * curve
-    residual = samples.height - lit - fit.background[:, None].astype(np.float32)
-    weight = samples.usable / noise.variance(lit)
-    design = np.stack([curve, np.ones_like(curve), amplitude * by_place, amplitude * by_width], axis=-1)
-    normal = np.einsum("ps,psi,psj->pij", weight, design, design, optimize=True).astype(np.float64)
-    normal[:, 1, 1] += 1 / noise.read_variance
-    normal[:, 3, 3] += 1 / prior.sd**2
-    # A parameter that the curve does not hold follows nothing.
-    normal += 1e-9 * np.trace(normal, axis1=1, axis2=2)[:, None, None] * np.eye(4)
-    leverage = weight * np.einsum("psi,pij,psj->ps", design, np.linalg.inv(normal), design, optimize=True)
-    return lit, residual, leverage
-
-
-def _row_sums(first: np.ndarray, second: np.ndarray) -> np.ndarray:
-    """Return the sum of products along each row, without the array of products."""
-    return np.einsum("ps,ps->p", first, second).astype(np.float64)
+def _total(values: np.ndarray) -> np.ndarray:
+    """Return the sum over the samples."""
+    return np.add.reduce(values, axis=0).astype(np.float64)

@@ -42,18 +42,19 @@ class PeakTracker:
     """Feed the photos of a sweep in order; ask for the windows at the end.
 
     A pixel's brightest sample is tested when the photos about it are at hand, so nothing needs mending afterwards, and
-    pixels that never rise above ``floor`` [rows, cols] are never written.
+    pixels that never rise above ``floor`` [rows, cols] are never written. With ``second`` the windows hold the second peaks too.
     """
 
-    def __init__(self, floor: Counts, *, half_width: int) -> None:
+    def __init__(self, floor: Counts, *, half_width: int, second: bool = True) -> None:
         if half_width < 1:
             raise ValueError("half_width: at least one neighbour on each side is needed")
         self._half_width = half_width
         self._first = _Peaks(floor.ravel(), half_width)
-        self._second = _Peaks(floor.ravel(), half_width)
+        self._second = _Peaks(floor.ravel(), half_width) if second else None
         nothing = np.zeros(floor.size, dtype=floor.dtype)
         self._ring = [nothing] * (2 * half_width + 1)
         self._nothing = nothing
+        self._above = np.zeros(BLOCK_PIXELS, dtype=bool)
         self._fed = 0
         self._pushed = 0
         self._shape = floor.shape
@@ -67,41 +68,56 @@ class PeakTracker:
         """Test the photos still in the window and return the result."""
         for _ in range(self._half_width):
             self._push(self._nothing)
-        first, second = self._first, self._second
-        beyond = PeakWindows(second.index, second.samples, self._half_width, self._fed)
-        return PeakWindows(first.index, first.samples, self._half_width, self._fed, beyond)
+        return self._first.windows(self._fed, second=None if self._second is None else self._second.windows(self._fed))
 
     def _push(self, counts: np.ndarray) -> np.ndarray | None:
         oldest = self._ring.pop(0)
         self._ring.append(counts)
         self._pushed += 1
-        self._test(self._pushed - 1 - self._half_width)
+        index = self._pushed - 1 - self._half_width
+        if 0 <= index < self._fed:
+            self._test(index)
         return None if oldest is self._nothing else oldest.reshape(self._shape)
 
     def _test(self, index: int) -> None:
-        if index < 0 or index >= self._fed:
-            return
-        for start in range(0, self._nothing.size, BLOCK_PIXELS):
-            self._test_block(slice(start, start + BLOCK_PIXELS), index)
-
-    def _test_block(self, block: slice, index: int) -> None:
-        before, centre, after = (self._ring[self._half_width + neighbour][block] for neighbour in (-1, 0, 1))
-        candidate = centre > self._second.brightest[block]
-        # Only a local maximum can be the brightest of all: a rising flank is not written again and again.
-        if not candidate.any():
-            return
-        candidate &= centre >= before
-        candidate &= centre >= after
-        pixels = block.start + np.flatnonzero(candidate)
+        before, centre, after = (self._ring[self._half_width + neighbour] for neighbour in (-1, 0, 1))
         first, second = self._first, self._second
-        height = self._ring[self._half_width][pixels]
-        brighter = height > first.brightest[pixels]
-        apart = index - first.index[pixels] > self._half_width
-        known = first.index[pixels] != NO_PEAK
-        second.take_over(pixels[brighter & apart & known], first)
-        first.write(pixels[brighter], height[brighter], index, self._ring)
-        lesser = ~brighter & apart
-        second.write(pixels[lesser], height[lesser], index, self._ring)
+        pixels = self._brighter(centre, (first if second is None else second).brightest)
+        height = centre.take(pixels)
+        # Only a local maximum can be the brightest of all: a rising flank is not written again and again.
+        highest = (height >= before.take(pixels)) & (height >= after.take(pixels))
+        pixels, height = pixels[highest], height[highest]
+        if second is not None:
+            brighter = height > first.brightest.take(pixels)
+            former = first.index.take(pixels)
+            apart = index - former > self._half_width
+            second.take_over(pixels[brighter & apart & (former != NO_PEAK)], first)
+            lesser = ~brighter & apart
+            second.write(pixels[lesser], height[lesser], index, self._ring)
+            pixels, height = pixels[brighter], height[brighter]
+        first.write(pixels, height, index, self._ring)
+
+    def _brighter(self, centre: np.ndarray, brightest: np.ndarray) -> np.ndarray:
+        """Return the pixels that are brighter than ever."""
+        found = []
+        for start in range(0, centre.size, BLOCK_PIXELS):
+            block = slice(start, start + BLOCK_PIXELS)
+            part = centre[block]
+            np.greater(part, brightest[block], out=self._above[: len(part)])
+            self._above[len(part) :] = False
+            found.append(start + _true_places(self._above))
+        return np.concatenate(found)
+
+
+def _true_places(values: np.ndarray) -> np.ndarray:
+    """Return where the values are true: ``flatnonzero``, but several times as fast where few of them are.
+
+    Eight values are one word of 64 bits, and eight of these answers are one again.
+    """
+    some = values.view(np.uint64) != 0
+    words = np.flatnonzero(some.view(np.uint64) != 0)
+    place = np.flatnonzero(values.reshape(-1, 64)[words])
+    return words[place >> 6] * 64 + (place & 63)
 
 
 class _Peaks:
@@ -114,15 +130,23 @@ class _Peaks:
         self.samples = np.zeros((floor.size, 2 * half_width + 1), dtype=floor.dtype)
 
     def write(self, pixels: np.ndarray, height: np.ndarray, index: int, ring: list[np.ndarray]) -> None:
+        """Let photo ``index`` be the brightest of these pixels."""
         self.brightest[pixels] = height
         self.index[pixels] = index
+        window = np.empty((len(pixels), len(ring)), dtype=self.samples.dtype)
         for column, photo in enumerate(ring):
-            self.samples[pixels, column] = photo[pixels]
+            window[:, column] = photo.take(pixels)
+        self.samples[pixels] = window
 
     def take_over(self, pixels: np.ndarray, other: "_Peaks") -> None:
+        """Take what the other one holds of these pixels."""
         self.brightest[pixels] = other.brightest[pixels]
         self.index[pixels] = other.index[pixels]
         self.samples[pixels] = other.samples[pixels]
+
+    def windows(self, photo_count: int, *, second: PeakWindows | None = None) -> PeakWindows:
+        """Return what was found in so many photos."""
+        return PeakWindows(self.index, self.samples, self.samples.shape[1] // 2, photo_count, second)
 
 
 def parabola_offset(

@@ -27,6 +27,9 @@ MIDDLE = 1
 # Fewer pixels than this with the same templates are not worth a matrix product of their own.
 FEWEST_ALIKE = 48
 MIXED_AT_ONCE = 512
+# OpenBLAS wakes its threads for a matrix product of more multiplications than this. They wait for each other, spinning, while
+# the cores are busy with other sweeps.
+ALONE_PRODUCTS = 1 << 18
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -40,7 +43,7 @@ class PlaceSpread:
 
 def best_places(
     samples: CurveSamples,
-    weight: Float32[np.ndarray, "pixels samples"],
+    weight: Float32[np.ndarray, "samples pixels"],
     *,
     black_weight: float,
     log_width: Float64[np.ndarray, " pixels"],
@@ -58,19 +61,19 @@ def best_places(
     place = np.empty(len(samples.peak))
     middle = np.zeros(len(node))
     for rows in _alike(samples, node, table):
-        chi_square = _chi_square(samples, weight, rows, grid, middle, node, shape, table, black_weight)
-        best = np.clip(chi_square.argmin(axis=1), 1, len(grid) - 2)
+        explained = _explained(samples, weight, rows, grid, middle, node, shape, table, black_weight)
+        best = np.clip(_highest(explained), 1, len(grid) - 2)
         line = np.arange(len(rows))
-        before, least, after = (chi_square[line, best + k].astype(np.float64) for k in (-1, 0, 1))
-        curvature = before - 2 * least + after
-        shift = np.where(curvature > 0, 0.5 * (before - after) / np.maximum(curvature, 1e-12), 0.0)
+        before, most, after = (explained[best + k, line].astype(np.float64) for k in (-1, 0, 1))
+        curvature = 2 * most - before - after
+        shift = np.where(curvature > 0, 0.5 * (after - before) / np.maximum(curvature, 1e-12), 0.0)
         place[rows] = grid[best] + np.clip(shift, -1, 1) * (grid[1] - grid[0])
     return samples.peak_px + place
 
 
 def place_spread(
     samples: CurveSamples,
-    weight: Float32[np.ndarray, "pixels samples"],
+    weight: Float32[np.ndarray, "samples pixels"],
     *,
     black_weight: float,
     log_width: Float64[np.ndarray, " pixels"],
@@ -90,26 +93,30 @@ def place_spread(
     # Pixels whose best places are alike share one grid.
     middle = unit * np.rint((about_px - samples.peak_px) / unit)
     cell = np.rint(middle / unit).astype(np.int64)
-    chi_square = np.empty((len(HERMITE), len(middle), len(fine)), dtype=np.float32)
+    powers = np.stack([np.ones_like(fine), fine, fine**2]).astype(np.float32)
+    likeliest = np.empty(len(middle))
+    top = np.empty((len(HERMITE), len(middle)), dtype=np.float32)
+    moments = np.empty((len(HERMITE), len(powers), len(middle)), dtype=np.float32)
     nodes = [table.nearest_node(log_width + shift * width_sd) for shift, _ in HERMITE]
     for number in (MIDDLE, *(other for other in range(len(HERMITE)) if other != MIDDLE)):
         node = nodes[number]
         table.fill(shape, node)
         # A width that is known well has one node, and one scan.
         same = (node == nodes[MIDDLE]) & (number != MIDDLE)
-        chi_square[number, same] = chi_square[MIDDLE, same]
+        top[number, same], moments[number][:, same] = top[MIDDLE, same], moments[MIDDLE][:, same]
         for rows in _alike(samples, node * len(SHAPES) + shape, table, also=cell, among=np.flatnonzero(~same)):
-            chi_square[number, rows] = _chi_square(
-                samples, weight, rows, fine, middle, node, shape, table, black_weight
-            )
-    likeliest = fine[chi_square[MIDDLE].argmin(axis=1)]
-    chi_square -= chi_square.min(axis=(0, 2))[:, None]
-    likelihood = sum(share * np.exp(-0.5 * one) for (_, share), one in zip(HERMITE, chi_square, strict=True))
-    likelihood /= likelihood.sum(axis=1, keepdims=True)
-    offset = fine.astype(np.float32)
-    first = likelihood @ offset
-    variance = likelihood @ offset**2 - first**2
-    sd_px = np.sqrt(np.maximum(variance, 0.0), dtype=np.float64)
+            explained = _explained(samples, weight, rows, fine, middle, node, shape, table, black_weight)
+            if number == MIDDLE:
+                likeliest[rows] = fine[_highest(explained)]
+            highest = np.maximum.reduce(explained, axis=0)
+            explained -= highest
+            explained *= np.float32(0.5)
+            moments[number][:, rows] = _summed(np.exp(explained, out=explained), powers)
+            top[number, rows] = highest
+    share = np.array([share for _, share in HERMITE], dtype=np.float32)[:, None] * np.exp(0.5 * (top - top.max(axis=0)))
+    mass, first, second = np.einsum("wp,wmp->mp", share, moments).astype(np.float64)
+    first /= mass
+    sd_px = np.sqrt(np.maximum(second / mass - first**2, 0.0))
     return PlaceSpread(samples.peak_px + middle + first, sd_px, samples.peak_px + middle + likeliest)
 
 
@@ -137,7 +144,7 @@ def _alike(
     return [*(group for group in groups if len(group) >= FEWEST_ALIKE), *blocks]
 
 
-def _chi_square(
+def _explained(
     samples: CurveSamples,
     weight: np.ndarray,
     rows: np.ndarray,
@@ -147,36 +154,42 @@ def _chi_square(
     shape: np.ndarray,
     table: CurveTable,
     black_weight: float,
-) -> Float32[np.ndarray, "pixels places"]:
-    """Return chi-square of some rows at these places about their middles, less a constant of each pixel.
+) -> Float32[np.ndarray, "places rows"]:
+    """Return how much of chi-square each place explains, with the best amplitude and background for it.
 
-    The middles are counted from the brightest sample. Many rows with the same templates are one matrix product; others look
-    up templates of their own.
+    The places are ``middle_px`` of each pixel plus ``places_px``, from the pixel's brightest stripe on.
     """
     offset = np.arange(-samples.half_width, samples.half_width + 1)
     first = rows[0]
     if len(rows) >= FEWEST_ALIKE and _one_template(rows, samples, middle_px, node, shape, table):
         kind = table.alignment_of[samples.peak[first] + offset + table.pad]
-        distance = (middle_px[first] + places_px)[:, None] - table.pattern.step_px * offset
-        curve = table.value[shape[first], node[first]][kind, table.entry(distance)]
+        entry = table.entry(middle_px[first] + places_px)[:, None] - table.entries_a_step * offset
+        curve = table.value[shape[first], node[first]][kind, entry]
     else:
         _, nodes, kinds, entries = table.value.shape
-        kind = table.alignment_of[samples.peak[rows][:, None] + offset + table.pad]
-        base = ((shape[rows] * nodes + node[rows])[:, None] * kinds + kind) * entries
-        entry = table.entry(middle_px[rows][:, None] + places_px)[:, :, None] - table.entries_a_step * offset
-        curve = table.value.ravel().take(np.clip(entry, 0, entries - 1) + base[:, None, :])
-    weight_of, height = weight[rows], samples.height[rows]
-    weighted = weight_of * height
-    s_mm = _summed(weight_of, curve**2) + np.float32(1e-12)
+        kind = table.alignment_of[samples.peak[rows] + offset[:, None] + table.pad]
+        base = ((shape[rows] * nodes + node[rows]) * kinds + kind) * entries
+        entry = table.entry(middle_px[rows] + places_px[:, None])[:, None] - table.entries_a_step * offset[:, None]
+        curve = table.value.ravel().take(entry + base)
+    weight_of = weight.take(rows, axis=1)
+    weighted = weight_of * samples.height.take(rows, axis=1)
+    s_mm = _summed(weight_of, curve**2)
+    s_mm += np.float32(1e-12)
     s_m = _summed(weight_of, curve)
-    s_my = _summed(weighted, curve)
-    s_1 = weight_of.sum(axis=1, keepdims=True) + np.float32(black_weight)
-    s_y = weighted.sum(axis=1, keepdims=True)
+    toward = _summed(weighted, curve)
+    s_1 = weight_of.sum(axis=0) + np.float32(black_weight)
     # Background removed first: what the curve then explains is the drop of chi-square.
-    inner = s_mm - s_m**2 / s_1
-    toward = s_my - s_m * s_y / s_1
+    toward -= s_m * (weighted.sum(axis=0) / s_1)
+    s_m *= s_m
+    s_m /= s_1
+    inner = np.subtract(s_mm, s_m, out=s_m)
+    s_mm *= np.float32(1e-6)
+    np.maximum(inner, s_mm, out=inner)
     # A stripe takes no light away.
-    return -(np.maximum(toward, 0.0) ** 2) / np.maximum(inner, 1e-6 * s_mm)
+    np.maximum(toward, 0.0, out=toward)
+    toward *= toward
+    toward /= inner
+    return toward
 
 
 def _one_template(
@@ -193,5 +206,24 @@ def _one_template(
 
 
 def _summed(weight: np.ndarray, curve: np.ndarray) -> np.ndarray:
-    """Return the weighted sums over the samples [pixels, places] of one template for all, or of one for each pixel."""
-    return weight @ curve.T if curve.ndim == 2 else np.einsum("ps,pls->pl", weight, curve)
+    """Return the weighted sums over the samples [places, pixels] of one template for all, or of one for each pixel."""
+    if curve.ndim > 2:
+        return np.einsum("sp,lsp->lp", weight, curve)
+    total = np.empty((len(curve), weight.shape[1]), dtype=np.float32)
+    columns = max(ALONE_PRODUCTS // curve.size, 1)
+    for low in range(0, weight.shape[1], columns):
+        part = slice(low, low + columns)
+        np.matmul(curve, weight[:, part], out=total[:, part])
+    return total
+
+
+def _highest(values: Float32[np.ndarray, "places pixels"]) -> Int64[np.ndarray, " pixels"]:
+    """Return the first of the places with the highest value: an ``argmax`` over the first axis that keeps to the rows."""
+    highest = values[0].copy()
+    best = np.zeros(len(highest), dtype=np.int64)
+    higher = np.empty(len(highest), dtype=bool)
+    for number, row in enumerate(values):
+        np.greater(row, highest, out=higher)
+        np.copyto(best, number, where=higher)
+        np.maximum(highest, row, out=highest)
+    return best

@@ -9,10 +9,11 @@ from dataclasses import dataclass
 import numpy as np
 from jaxtyping import Bool, Float32, Float64, Int32, Int64
 
+from recon.sweeps.curve_lookup import looked_up
 from recon.sweeps.curve_samples import SweepCurves
 from recon.sweeps.curve_table import CurveTable
 from recon.sweeps.noise import NoiseModel
-from recon.sweeps.stripe_fit import StripeFit, WidthPrior, fit_stripe, looked_up
+from recon.sweeps.stripe_fit import StripeFit, WidthPrior, fit_stripe
 from recon.sweeps.stripe_peak import NO_PEAK, PeakWindows
 
 # A second peak is one that noise alone would show in one sample of a thousand million.
@@ -169,7 +170,7 @@ def _light(peak: _Peak, fit: StripeFit, shape: np.ndarray, *, table: CurveTable)
     """Return the counts that one path alone gives at its own samples."""
     samples = _curves(peak, table=table, photo_count=LEFT_OUT).samples(np.arange(len(peak.number)))
     curve, _, _ = looked_up(samples, fit.place_px, fit.log_width, shape=shape, table=table)
-    return fit.amplitude.astype(np.float32)[:, None] * curve
+    return (fit.amplitude.astype(np.float32) * curve).T
 
 
 def _without(peak: _Peak, other: _Peak, light: np.ndarray) -> _Peak:

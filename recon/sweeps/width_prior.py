@@ -9,7 +9,7 @@ from dataclasses import dataclass
 
 import cv2
 import numpy as np
-from jaxtyping import Float64
+from jaxtyping import Float32, Float64, Int64
 
 from recon.sweeps.curve_table import shape_of
 from recon.sweeps.stripe_fit import StripeFit, WidthPrior
@@ -25,12 +25,17 @@ WORST_CHI_SQUARE = 9.0
 class Footprints:
     """Boxes [pixels, 2] from the map's gradient and the sd of the blur common to all pixels, in device pixels."""
 
-    box_px: Float64[np.ndarray, "pixels 2"]
+    box_px: Float64[np.ndarray, "pixels 2"] | Float32[np.ndarray, "pixels 2"]
     blur_px: float
+
+    def some(self, pixels: np.ndarray | slice) -> "Footprints":
+        """Return the footprints of some of the pixels."""
+        return Footprints(self.box_px[pixels], self.blur_px)
 
     def predicted(self) -> Float64[np.ndarray, " pixels"]:
         """Return the logarithm of the total standard deviation."""
-        return 0.5 * np.log((self.box_px**2).sum(axis=1) / 12 + self.blur_px**2)
+        by_col, by_row = self.box_px.T.astype(np.float64)
+        return 0.5 * np.log((by_col**2 + by_row**2) / 12 + self.blur_px**2)
 
 
 def known_prior(footprints: Footprints, *, sd: float) -> WidthPrior:
@@ -39,31 +44,48 @@ def known_prior(footprints: Footprints, *, sd: float) -> WidthPrior:
     return WidthPrior(shape_of(footprints.box_px, np.exp(log_width)), log_width, np.full(len(log_width), sd))
 
 
-def neighbours_prior(
+@dataclass(frozen=True, slots=True, eq=False)
+class NeighbourWidths:
+    """How much wider than their boxes and the common blur the footprints of a neighbourhood are: mean and sd of the logarithm.
+
+    They stand on every ``spacing``-th row and column of the grid, whose pixels are ``columns`` a row.
+    """
+
+    wider: Float64[np.ndarray, "lattice_rows lattice_cols"]
+    sd: Float64[np.ndarray, "lattice_rows lattice_cols"]
+    spacing: int
+    columns: int
+
+    def prior(self, footprints: Footprints, pixels: Int64[np.ndarray, " pixels"]) -> WidthPrior:
+        """Return the prior of the listed pixels, whose footprints these are."""
+        # The window about a pixel holds the same pixels of the lattice as that about the nearest one of these.
+        row, col = ((one + self.spacing // 2) // self.spacing for one in np.divmod(pixels, self.columns))
+        log_width = footprints.predicted() + self.wider[row, col]
+        return WidthPrior(shape_of(footprints.box_px, np.exp(log_width)), log_width, self.sd[row, col])
+
+
+def neighbour_widths(
     fit: StripeFit,
-    fitted: np.ndarray,
     footprints: Footprints,
-    pixels: np.ndarray,
+    pixels: Int64[np.ndarray, " pixels"],
     *,
     grid: tuple[int, int],
-) -> WidthPrior:
-    """Return the prior of every pixel of ``pixels`` from the ``fit`` of some of them (rows ``fitted`` of the list)."""
-    predicted = footprints.predicted()
-    wider = fit.log_width - predicted[fitted]
+    spacing: int,
+) -> NeighbourWidths:
+    """Average over each neighbourhood how much wider than their ``footprints`` the fitted curves of a lattice of pixels are."""
+    wider = fit.log_width - footprints.predicted()
     own = 1 / np.maximum(fit.width_information, 1e-9)
     weight = np.where(fit.chi_square < WORST_CHI_SQUARE * fit.freedom, 1 / (own + NEIGHBOUR_SD**2), 0.0)
+    row, col = (one // spacing for one in np.divmod(pixels, grid[1]))
+    window = (WINDOW_PX // spacing, WINDOW_PX // spacing)
 
     def summed(values: np.ndarray) -> np.ndarray:
-        image = np.zeros(grid)
-        image.ravel()[pixels[fitted]] = values
-        total = cv2.boxFilter(
-            image, cv2.CV_64F, (WINDOW_PX, WINDOW_PX), normalize=False, borderType=cv2.BORDER_CONSTANT
-        )
-        return total.ravel()[pixels]
+        lattice = np.zeros((grid[0] // spacing + 1, grid[1] // spacing + 1))
+        lattice[row, col] = values
+        return cv2.boxFilter(lattice, cv2.CV_64F, window, normalize=False, borderType=cv2.BORDER_CONSTANT)
 
     total = np.maximum(summed(weight), 0.0) + GRADIENT_SD**-2
     mean = summed(weight * wider) / total
-    scatter = summed(weight * np.maximum((wider - mean[fitted]) ** 2 - own, 0.0)) / total
-    log_width = predicted + mean
+    scatter = summed(weight * np.maximum((wider - mean[row, col]) ** 2 - own, 0.0)) / total
     sd = np.sqrt(NEIGHBOUR_SD**2 + np.maximum(scatter, 0.0) + 1 / total)
-    return WidthPrior(shape_of(footprints.box_px, np.exp(log_width)), log_width, sd)
+    return NeighbourWidths(wider=mean, sd=sd, spacing=spacing, columns=grid[1])

@@ -1,0 +1,201 @@
+"""The fits of a sweep's curves, once an even lattice of the pixels has told how noisy they are and how wide."""
+
+from dataclasses import dataclass
+
+import numpy as np
+from jaxtyping import Bool, Float32, Float64, Int64
+
+from recon.sessions.manifest import StripePattern
+from recon.sweeps.curve_lookup import looked_up
+from recon.sweeps.curve_samples import SweepCurves
+from recon.sweeps.footprint import coordinate_gradient
+from recon.sweeps.leverage import leverage_of
+from recon.sweeps.noise import NoiseModel, lone_peak_variance, noise_from_residuals
+from recon.sweeps.stripe_fit import PIXELS_A_BLOCK, StripeFit, WidthPrior, fit_stripe
+from recon.sweeps.two_paths import TwoPaths, two_paths
+from recon.sweeps.width_prior import GRADIENT_SD, Footprints, NeighbourWidths, known_prior, neighbour_widths
+
+# Every third pixel in each direction tells noise and widths of all.
+LATTICE_PX = 3
+FEW_PIXELS = 20_000
+# More of them would tell the noise no better.
+NOISE_PIXELS = 100_000
+# The variance of a sample that the fit bends itself to cannot be read from its residual.
+LARGEST_LEVERAGE = 0.8
+# A curve whose misfit is a quarter of its height is not that of one stripe.
+LARGEST_MISFIT = 0.25
+# The part of a curve above this share of its peak tells its centre.
+CENTRE_LEVEL = 0.1
+BLUR_PIXELS = 2000
+BLUR_SPACING = 0.35
+OCCAM_SHARE = 0.03
+THINNEST_PX = 0.05
+SHARP_PX = 1e-3
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class CurveFits:
+    """Fits the curves of the listed pixels, once it is known how noisy they are and how wide."""
+
+    curves: SweepCurves
+    pixels: Int64[np.ndarray, " pixels"]
+    footprints: Footprints
+    widths: NeighbourWidths
+    noise: NoiseModel
+
+    def fit(self, rows: np.ndarray | slice) -> tuple[StripeFit, WidthPrior, TwoPaths]:
+        """Fit some rows of the list; where the stripe lit a pixel twice, the brighter path is what was fitted."""
+        pixels, pattern = self.pixels[rows], self.curves.table.pattern
+        prior = self.widths.prior(self.footprints.some(rows), pixels)
+        fit = fit_stripe(self.curves, pixels, prior, noise=self.noise)
+        two = two_paths(self.curves, pixels, prior, noise=self.noise)
+        two = two.some(good_fit(two.first, pattern, noise=self.noise) & good_fit(two.second, pattern, noise=self.noise))
+        for name in StripeFit.__slots__:
+            getattr(fit, name)[two.rows] = getattr(two.first, name)
+        return fit, prior, two
+
+    def drawn(self, pixels: Int64[np.ndarray, " some"]) -> Float64[np.ndarray, "samples some"]:
+        """Return the fitted curves of some of the pixels at their own samples, in counts above black."""
+        fit, prior, _ = self.fit(np.searchsorted(self.pixels, pixels))
+        samples = self.curves.samples(pixels)
+        curve, _, _ = looked_up(samples, fit.place_px, fit.log_width, shape=prior.shape, table=self.curves.table)
+        return fit.background + fit.amplitude * curve.astype(np.float64)
+
+
+def good_fit(fit: StripeFit, pattern: StripePattern, *, noise: NoiseModel) -> Bool[np.ndarray, " pixels"]:
+    """Tell which curves are those of one stripe whose place they say."""
+    residual_rms = np.sqrt(fit.chi_square / (fit.freedom + 3) * noise.variance(fit.amplitude / 2))
+    # A place known no better than the stripe's own width says nothing.
+    vague = ~(fit.sd_px < max(pattern.width_px, pattern.step_px))
+    return (residual_rms <= LARGEST_MISFIT * fit.amplitude) & (fit.amplitude > 0) & ~vague
+
+
+def prepared_fits(
+    curves: SweepCurves,
+    pixels: Int64[np.ndarray, " pixels"],
+    *,
+    grid: tuple[int, int],
+    dark_variance: float,
+) -> CurveFits:
+    """Learn noise, blur and widths from an even lattice of the pixels."""
+    black = curves.black.reshape(grid)
+    box_px = _boxes(curves, _centres(curves, pixels, grid=grid), pixels)
+    some, spacing = _lattice(pixels, grid)
+    few = slice(None, None, max(len(some) // NOISE_PIXELS, 1))
+    noise = NoiseModel(dark_variance)
+    lone = lone_peak_variance(curves.windows, black, clipped=curves.clipped, dark_variance=dark_variance)
+    # What is taken for blur depends on the noise, and what for noise on the blur: twice round is enough.
+    for of in (some[few], some):
+        footprints = Footprints(box_px, _common_blur_px(curves, pixels, box_px, noise=noise))
+        prior = known_prior(footprints.some(of), sd=GRADIENT_SD)
+        fit = fit_stripe(curves, pixels[of], prior, noise=noise)
+        told = few if of is some else slice(None)
+        noise = _noise(
+            curves,
+            pixels[of][told],
+            fit.some(told),
+            prior.some(told),
+            before=noise,
+            dark_variance=dark_variance,
+            lone=lone,
+        )
+    widths = neighbour_widths(fit, footprints.some(some), pixels[some], grid=grid, spacing=spacing)
+    return CurveFits(curves, pixels, footprints, widths, noise)
+
+
+def _centres(curves: SweepCurves, pixels: np.ndarray, *, grid: tuple[int, int]) -> Float64[np.ndarray, "rows cols"]:
+    """Return a first guess of the places in device pixels: the centre of mass of each curve about its peak; else NaN."""
+    windows, pattern = curves.windows, curves.table.pattern
+    place_px = np.full(grid[0] * grid[1], np.nan)
+    offset = np.arange(-windows.half_width, windows.half_width + 1)
+    for low in range(0, len(pixels), PIXELS_A_BLOCK):
+        part = pixels[low : low + PIXELS_A_BLOCK]
+        height = windows.samples[part].T.astype(np.float32, order="C")
+        height -= curves.black[part].astype(np.float32)
+        peak = windows.peak_index[part]
+        height[height <= CENTRE_LEVEL * height[windows.half_width]] = 0.0
+        for row, number in zip(height, offset, strict=True):
+            row[(peak < -number) | (peak >= windows.photo_count - number)] = 0.0
+        mean = np.einsum("s,sp->p", offset.astype(np.float32), height) / np.maximum(
+            height.sum(axis=0, dtype=np.float64), 1e-9
+        )
+        place_px[part] = pattern.first_px + pattern.step_px * (peak + mean)
+    return place_px.reshape(grid)
+
+
+def _common_blur_px(curves: SweepCurves, pixels: np.ndarray, box_px: np.ndarray, *, noise: NoiseModel) -> float:
+    """Return the blur beyond the boxes that explains an even sample of the curves best, trying all that a window can tell.
+
+    Fits with a free width would be drawn towards wide ones: two lit samples tell their ratio alone.
+    """
+    some = np.arange(0, len(pixels), max(len(pixels) // BLUR_PIXELS, 1))
+    unit = min(curves.table.pattern.step_px, 1.0)
+    ladder = np.exp(np.arange(np.log(THINNEST_PX * unit), curves.table.log_width[-1], BLUR_SPACING))
+    # Even a faint tail of a blur would forbid places at the ends of an interval.
+    blurs = np.concatenate([[SHARP_PX * unit], ladder])
+    if len(some) == 0:
+        return float(blurs[0])
+    misfit = []
+    for blur in blurs:
+        prior = known_prior(Footprints(box_px[some], float(blur)), sd=0.01)
+        fit = fit_stripe(curves, pixels[some], prior, noise=noise)
+        # The logarithm keeps curves that no blur explains from deciding.
+        misfit.append(float(np.log1p(fit.chi_square / fit.freedom).sum()))
+    # The least blur that explains the curves nearly as well as the best: too wide a footprint makes places look too sure.
+    near = np.array(misfit) <= min(misfit) + OCCAM_SHARE * len(some)
+    return float(blurs[np.argmax(near)])
+
+
+def _boxes(
+    curves: SweepCurves, place_px: Float64[np.ndarray, "rows cols"], pixels: np.ndarray
+) -> Float32[np.ndarray, "pixels 2"]:
+    """Return the widths of the two boxes of each pixel's footprint: the gradient of the map of places."""
+    table = curves.table
+    quantum_px = table.pattern.step_px if table.continuous else max(table.pattern.step_px, 1.0)
+    gradient = coordinate_gradient(place_px, np.isfinite(place_px), quantum_px=quantum_px).reshape(-1, 2)
+    widths = gradient[pixels]
+    np.abs(widths, out=widths)
+    known = np.isfinite(widths).all(axis=1)
+    if not known.all():
+        widths[~known] = np.median(widths[known], axis=0) if known.any() else 0.5
+    return widths
+
+
+def _lattice(pixels: np.ndarray, grid: tuple[int, int]) -> tuple[Int64[np.ndarray, " some"], int]:
+    """Return which of the listed pixels are fitted first, and their spacing: an even lattice, or all where there are few."""
+    if len(pixels) <= FEW_PIXELS:
+        return np.arange(len(pixels)), 1
+    row, col = np.divmod(pixels, grid[1])
+    return np.flatnonzero((row % LATTICE_PX == 0) & (col % LATTICE_PX == 0)), LATTICE_PX
+
+
+def _noise(
+    curves: SweepCurves,
+    pixels: np.ndarray,
+    fit: StripeFit,
+    prior: WidthPrior,
+    *,
+    before: NoiseModel,
+    dark_variance: float,
+    lone: tuple[float, float] | None,
+) -> NoiseModel:
+    """Read the noise from what the fit left, each residual divided by what the fit took of it."""
+    if len(pixels) == 0:
+        return before
+    signals, residuals = [], []
+    for low in range(0, len(pixels), PIXELS_A_BLOCK):
+        rows = slice(low, low + PIXELS_A_BLOCK)
+        samples = curves.samples(pixels[rows])
+        lit, residual, leverage = leverage_of(
+            samples, fit.some(rows), prior.some(rows), table=curves.table, noise=before
+        )
+        used = samples.usable & (leverage < LARGEST_LEVERAGE)
+        signals.append(lit[used])
+        residuals.append(residual[used] / np.sqrt(1 - leverage[used]))
+    return noise_from_residuals(
+        np.concatenate(signals),
+        np.concatenate(residuals),
+        read_variance=dark_variance,
+        freedom_share=1.0,
+        more=lone,
+    )

@@ -1,0 +1,53 @@
+"""What is done block by block and tile by tile comes out as if it were done at once; threads go as far as memory does."""
+
+import numpy as np
+import pytest
+
+from recon.sweeps.correspondence import lit_floor, median_of_five
+from recon.sweeps.decode_threads import threads_that_fit
+from recon.sweeps.footprint import TILE_PX, coordinate_gradient
+from recon.sweeps.noise import dark_variance
+from recon.sweeps.stripe_peak import BLOCK_PIXELS, NO_PEAK, PeakTracker
+
+
+def test_a_pixel_of_the_last_block_is_found_like_one_of_the_first() -> None:
+    shape = (4, BLOCK_PIXELS // 3)
+    lit = [0, BLOCK_PIXELS - 1, BLOCK_PIXELS, 4 * (BLOCK_PIXELS // 3) - 1]
+    tracker = PeakTracker(np.full(shape, 9, np.uint8), half_width=1)
+    for index in range(4):
+        counts = np.full(shape, 5, np.uint8)
+        counts.ravel()[lit[index]] = 200
+        tracker.feed(counts)
+    found = tracker.finish().peak_index
+    assert found[lit].tolist() == [0, 1, 2, 3]
+    assert np.count_nonzero(found != NO_PEAK) == 4
+
+
+def test_a_plane_has_the_same_slopes_on_both_sides_of_a_tile() -> None:
+    row, col = np.mgrid[: TILE_PX + 40, : TILE_PX + 40].astype(np.float64)
+    gradient = coordinate_gradient(100 + 0.3 * col - 0.2 * row, np.ones(row.shape, bool), quantum_px=0.01)
+    np.testing.assert_allclose(gradient, np.broadcast_to([0.3, -0.2], gradient.shape), atol=1e-6)
+
+
+@pytest.mark.parametrize("dtype", [np.uint8, np.uint16])
+def test_the_dark_variance_of_any_depth_is_that_of_half_the_difference(dtype: type) -> None:
+    first, second = np.random.default_rng(8).integers(10, 14, (2, 100, 120)).astype(dtype)
+    difference = second.astype(float) - first
+    assert dark_variance(first, second) == pytest.approx(difference.var() / 2, rel=1e-12)
+
+
+def test_the_black_level_of_five_photos_is_their_median() -> None:
+    photos = np.random.default_rng(9).integers(0, 9, (5, 30, 40)).astype(np.uint16)
+    np.testing.assert_array_equal(median_of_five(*photos), np.median(photos, axis=0))
+
+
+def test_the_floor_of_lit_samples_stays_within_their_range() -> None:
+    black = np.array([[0, 100, 250, 255]], np.uint8)
+    np.testing.assert_array_equal(lit_floor(black, 8.7), [[8, 108, 255, 255]])
+
+
+def test_threads_stop_where_memory_does_and_never_below_one() -> None:
+    sweeps = {"cores": 16, "sweeps": 8, "pixels": 10_000_000, "sample_bytes": 1, "method": "full"}
+    assert threads_that_fit(**sweeps, memory_bytes=10**9) == 1
+    assert 1 < threads_that_fit(**sweeps, memory_bytes=8 * 10**9) < 8
+    assert threads_that_fit(**sweeps, memory_bytes=10**12) == 8
