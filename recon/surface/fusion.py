@@ -24,7 +24,6 @@ from recon.surface.ray_chords import (
     Rays,
     ScalarMap,
     VectorMap,
-    bend_of,
     chords_of,
     measured_pixels,
     rays_of,
@@ -248,8 +247,9 @@ def _errors(
     for draw in errors:
         distance_error, normal_error = noise(rng, graph.on_grid(distance))
         tilt = scales[1] * normal_error[graph.mask]
-        per_chord = 0.5 * np.einsum("pi,pi->p", tilt[graph.first] + tilt[graph.second], chords.chord_mm)
-        per_chord -= bend_of(tilt, chords.chord_mm, graph)
+        at_first = np.einsum("pi,pi->p", tilt[graph.first], chords.chord_mm)
+        at_second = np.einsum("pi,pi->p", tilt[graph.second], chords.chord_mm)
+        per_chord = 0.5 * (at_first + at_second) - chords.bend.height_mm(at_second - at_first)
         shift = np.where(rays.precision > 0, scales[0] * distance_error[graph.mask], 0.0)
         right = _gather(graph, chords, -system.chord_weight * per_chord, system.own_weight * shift)
         draw[:] = solve(right, np.zeros(graph.pixels))

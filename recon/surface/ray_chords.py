@@ -3,7 +3,7 @@
 from dataclasses import dataclass
 
 import numpy as np
-from jaxtyping import Bool, Float64
+from jaxtyping import Bool, Float64, Int32
 
 from recon.surface.neighbours import Neighbours, pairs_beyond
 
@@ -49,6 +49,7 @@ class Chords:
     right: PerPair
     variance: PerPair
     chord_mm: Float64[np.ndarray, "pairs 3"]
+    bend: "Bend"
 
     def residual(self, graph: Neighbours, distance: PerPixel) -> PerPair:
         """Return by how much each chord leaves its tangent plane, in mm."""
@@ -102,12 +103,15 @@ def chords_of(rays: Rays, graph: Neighbours, distance: PerPixel) -> Chords:
         squared_length = np.maximum(squared_length, 1e-6 * np.median(squared_length))
     # A normal serves both pairs on its line, so that along a line its error adds up whole: one tilt's variance a pixel.
     tilt_variance = 0.5 * (rays.tilt_variance[first] + rays.tilt_variance[second])
+    bend = Bend.of(chord_mm, graph)
+    turn = rays.normal[second] - rays.normal[first]
     return Chords(
         at_first=at_first,
         at_second=at_second,
-        right=bend_of(rays.normal, chord_mm, graph) - _dot(mean, between),
+        right=bend.height_mm(_dot(turn, chord_mm)) - _dot(mean, between),
         variance=np.maximum(squared_length * tilt_variance, _smallest_variance(rays)),
         chord_mm=chord_mm,
+        bend=bend,
     )
 
 
@@ -115,23 +119,34 @@ def _dot(first: Float64[np.ndarray, "pairs 3"], second: Float64[np.ndarray, "pai
     return np.einsum("pi,pi->p", first, second)
 
 
-def bend_of(
-    normal: Float64[np.ndarray, "pixels 3"], chord_mm: Float64[np.ndarray, "pairs 3"], graph: Neighbours
-) -> PerPair:
-    """Return by how much a chord leaves the mean tangent plane where the curvature changes along it: h³ κ' / 12.
+@dataclass(frozen=True, slots=True, eq=False)
+class Bend:
+    """By how much chords leave their mean tangent planes where the curvature changes along them: h³ κ' / 12.
 
-    It is what the trapezium leaves out (Euler and Maclaurin), zero on planes and spheres. κ' comes from the chords before
-    and after; where one is missing, nothing is put right.
+    It is what the trapezium leaves out (Euler and Maclaurin), zero on planes and spheres. κ' comes from the chords ``before`` and
+    ``after``; where one is missing, nothing is put right.
     """
-    squared = np.maximum(_dot(chord_mm, chord_mm), np.finfo(float).tiny)
-    length = np.sqrt(squared)
-    curvature = _dot(normal[graph.second] - normal[graph.first], chord_mm) / squared
-    before, after = pairs_beyond(graph)
-    apart = length + 0.5 * (length[before] + length[after])
-    change = (curvature[after] - curvature[before]) / apart
-    # On a steep rim chords grow fast, and a curvature far away says little of this one.
-    alike = (before >= 0) & (after >= 0) & (apart < 4 * length)
-    return np.where(alike, length**3 * change / 12, 0.0)
+
+    before: Int32[np.ndarray, " pairs"]
+    after: Int32[np.ndarray, " pairs"]
+    per_squared: PerPair
+    factor: PerPair
+
+    @classmethod
+    def of(cls, chord_mm: Float64[np.ndarray, "pairs 3"], graph: Neighbours) -> "Bend":
+        """Prepare for the chords' lengths, on whatever normals."""
+        squared = np.maximum(_dot(chord_mm, chord_mm), np.finfo(float).tiny)
+        length = np.sqrt(squared)
+        before, after = pairs_beyond(graph)
+        apart = length + 0.5 * (length[before] + length[after])
+        # On a steep rim chords grow fast, and a curvature far away says little of this one.
+        alike = (before >= 0) & (after >= 0) & (apart < 4 * length)
+        return cls(before, after, 1 / squared, np.where(alike, squared * length / (12 * apart), 0.0))
+
+    def height_mm(self, turn_along_mm: PerPair) -> PerPair:
+        """Return it for the change of the normal from each chord's first to its second end, along the chord."""
+        curvature = turn_along_mm * self.per_squared
+        return self.factor * (curvature[self.after] - curvature[self.before])
 
 
 def _smallest_variance(rays: Rays) -> float:
