@@ -230,9 +230,13 @@ def place_by_likelihood(
     )
     status[(status == PixelStatus.OK) & np.isnan(places.place_px)] = PixelStatus.BAD_FIT
     half = less_than_half_seen(places.light, status != PixelStatus.UNLIT) & np.isfinite(places.place_px)
-    places.second_px[half] = places.second_sd_px[half] = np.nan
-    twice = np.isfinite(places.second_px)
-    status[twice] = PixelStatus.TWO_PATHS
+    kept = ~half.ravel()[places.twice]
+    second_px, second_sd_px = None, None
+    if kept.any():
+        twice = places.twice[kept]
+        status.ravel()[twice] = PixelStatus.TWO_PATHS
+        second_px, second_sd_px = np.full(black.shape, np.nan), np.full(black.shape, np.nan, dtype=np.float32)
+        second_px.ravel()[twice], second_sd_px.ravel()[twice] = places.second_px[kept], places.second_sd_px[kept]
     status[half] = PixelStatus.HALF_SEEN
     return SweepResult(
         place_px=places.place_px,
@@ -242,6 +246,6 @@ def place_by_likelihood(
         misfit=places.misfit,
         photos=photos,
         curves=sample_curves(windows, black, photos, pattern=pattern, place=places.place_px, fit=places),
-        second_px=places.second_px if twice.any() else None,
-        second_sd_px=places.second_sd_px if twice.any() else None,
+        second_px=second_px,
+        second_sd_px=second_sd_px,
     )

@@ -22,6 +22,7 @@ OWN_MISFIT_CHANCE = 1e-3
 # A curve still this high, as a share of its peak, at an end of its window shows one flank alone: its centre lies anywhere.
 CUT_OFF_LEVEL = 0.5
 SCALE_WINDOW_PX = 11
+BAND_ROWS = 128
 LARGEST_CLEAN_RATIO = 4.0
 
 
@@ -29,14 +30,15 @@ LARGEST_CLEAN_RATIO = 4.0
 class LikelihoodPlaces:
     """Maps of the places and of their sds in device pixels, NaN where there is no good fit, and the fits behind them.
 
-    ``second_px`` and ``second_sd_px`` are those of the path with less light, where the stripe lit a pixel twice. ``light`` is the
-    fitted amplitude, and ``misfit`` the median of chi-square over degrees of freedom, of all curves.
+    The stripe lit the pixels ``twice``; ``second_px`` and ``second_sd_px`` are those of the path with less light. ``light`` is
+    the fitted amplitude, and ``misfit`` the median of chi-square over degrees of freedom, of all curves.
     """
 
     place_px: Float64[np.ndarray, "rows cols"]
     sd_px: Float32[np.ndarray, "rows cols"]
-    second_px: Float64[np.ndarray, "rows cols"]
-    second_sd_px: Float32[np.ndarray, "rows cols"]
+    twice: Int64[np.ndarray, " twice"]
+    second_px: Float64[np.ndarray, " twice"]
+    second_sd_px: Float64[np.ndarray, " twice"]
     light: Float32[np.ndarray, "rows cols"]
     misfit: float
     fits: CurveFits
@@ -73,9 +75,10 @@ def places_by_likelihood(
     table = curve_table(pattern, half_width=windows.half_width, continuous=continuous)
     curves = SweepCurves(windows, table, black.ravel(), clipped)
     fits = prepared_fits(curves, pixels, grid=black.shape, dark_variance=dark_variance)
-    place_px, second_px = np.full((2, *black.shape), np.nan)
-    sd_px, second_sd_px, light, chi_square, freedom = np.full((5, *black.shape), np.nan, dtype=np.float32)
+    place_px = np.full(black.shape, np.nan)
+    sd_px, light, chi_square, freedom = (np.full(black.shape, np.nan, dtype=np.float32) for _ in range(4))
     unresolved = np.zeros(black.shape, dtype=np.float32)
+    twice, second_px, second_sd_px = [pixels[:0]], [np.empty(0)], [np.empty(0)]
     for low in range(0, len(pixels), PIXELS_AT_ONCE):
         rows = slice(low, low + PIXELS_AT_ONCE)
         fit, prior, two = fits.fit(rows)
@@ -90,17 +93,21 @@ def places_by_likelihood(
         unsure = unresolved_px(fit, prior)
         unsure[two.rows] = 0.0
         unresolved.ravel()[part[unsure > 0]] = unsure[unsure > 0]
-        second_px.ravel()[part[two.rows]] = two.second.place_px
+        twice.append(part[two.rows])
+        second_px.append(two.second.place_px)
         ratio = two.second.chi_square / two.second.freedom
-        second_sd_px.ravel()[part[two.rows]] = two.second.sd_px * np.sqrt(np.maximum(ratio, 1.0))
+        second_sd_px.append(two.second.sd_px * np.sqrt(np.maximum(ratio, 1.0)))
     misfit = float(np.median((chi_square / freedom).ravel()[pixels])) if len(pixels) else float("nan")
-    sd_px = np.hypot(sd_px * _misfit_scale(chi_square, freedom, np.isfinite(place_px)), unresolved)
-    beyond_px = np.float32(scatter_beyond_px(place_px, sd_px.astype(np.float64)))
+    sd_px *= _misfit_scale(chi_square, freedom, np.isfinite(place_px))
+    np.hypot(sd_px, unresolved, out=sd_px)
+    beyond_px = scatter_beyond_px(place_px, sd_px)
+    np.hypot(sd_px, np.float32(beyond_px), out=sd_px)
     return LikelihoodPlaces(
         place_px=place_px,
-        sd_px=np.hypot(sd_px, beyond_px),
-        second_px=second_px,
-        second_sd_px=np.hypot(second_sd_px, beyond_px),
+        sd_px=sd_px,
+        twice=np.concatenate(twice),
+        second_px=np.concatenate(second_px),
+        second_sd_px=np.hypot(np.concatenate(second_sd_px), beyond_px),
         light=light,
         misfit=misfit,
         fits=fits,
@@ -126,20 +133,30 @@ def _misfit_scale(
 
     The ratio of the neighbourhood counts, whose own scatter is small; a pixel's own one does where chance does not explain it.
     """
-    ratio = chi_square / freedom
-    clean = np.where(good, np.minimum(ratio, np.float32(LARGEST_CLEAN_RATIO)), np.float32(0))
-    window = (SCALE_WINDOW_PX, SCALE_WINDOW_PX)
-    total, number = (
-        cv2.boxFilter(one, cv2.CV_32F, window, normalize=False, borderType=cv2.BORDER_CONSTANT)
-        for one in (clean, good.astype(np.float32))
-    )
-    scale = np.divide(total, np.maximum(number, 1, out=number), out=total)
-    np.maximum(scale, 1, out=scale)
-    if good.any():
-        # The limit over the degrees of freedom is least where these are most: few pixels are worth asking for their own.
-        most = float(freedom[good].max())
-        doubtful = np.nonzero(good & (ratio > scale * np.float32(chi2.isf(OWN_MISFIT_CHANCE, most) / most)))
-        limit = scale[doubtful] * chi2.isf(OWN_MISFIT_CHANCE, freedom[doubtful])
-        own = np.where(chi_square[doubtful] > limit, ratio[doubtful], 0)
-        scale[doubtful] = np.maximum(scale[doubtful], own)
-    return np.sqrt(scale, out=scale)
+    scale = np.empty_like(chi_square)
+    # The limit over the degrees of freedom is least where these are most: few pixels are worth asking for their own.
+    most = float(freedom[good].max()) if good.any() else 1.0
+    least_limit = np.float32(chi2.isf(OWN_MISFIT_CHANCE, most) / most)
+    margin = SCALE_WINDOW_PX // 2
+    for low in range(0, len(good), BAND_ROWS):
+        above = max(low - margin, 0)
+        band = slice(above, low + BAND_ROWS + margin)
+        ratio, inside = chi_square[band] / freedom[band], good[band].astype(np.float32)
+        clean = np.where(good[band], np.minimum(ratio, np.float32(LARGEST_CLEAN_RATIO)), np.float32(0))
+        total, number = (
+            cv2.boxFilter(
+                one,
+                cv2.CV_32F,
+                (SCALE_WINDOW_PX,) * 2,
+                normalize=False,
+                borderType=cv2.BORDER_CONSTANT,
+            )
+            for one in (clean, inside)
+        )
+        local = np.maximum(total / np.maximum(number, 1), 1)
+        doubtful = np.nonzero(good[band] & (ratio > local * least_limit))
+        limit = local[doubtful] * chi2.isf(OWN_MISFIT_CHANCE, freedom[band][doubtful])
+        own = np.where(chi_square[band][doubtful] > limit, ratio[doubtful], 0)
+        local[doubtful] = np.maximum(local[doubtful], own)
+        scale[low : low + BAND_ROWS] = np.sqrt(local[low - above :][:BAND_ROWS])
+    return scale

@@ -6,7 +6,7 @@ map from camera to display is smooth nearly everywhere, so the surest places are
 """
 
 import numpy as np
-from jaxtyping import Float64
+from jaxtyping import Float
 
 WINDOW_PX = 7
 PIXELS = 4000
@@ -18,7 +18,7 @@ BISECTIONS = 40
 # Median of the square of a standard normal variable; edges and jumps of the map, where differences mean nothing, leave it alone.
 MEDIAN_SQUARE = 0.4549
 
-Grid = Float64[np.ndarray, "rows cols"]
+Grid = Float[np.ndarray, "rows cols"]
 
 
 def scatter_beyond_px(place_px: Grid, sd_px: Grid) -> float:
@@ -58,7 +58,9 @@ def _differences(place_px: Grid, sd_px: Grid) -> tuple[np.ndarray, np.ndarray]:
     dy, dx = (one.ravel() for one in np.mgrid[-half : half + 1, -half : half + 1])
     beside = (row[:, None] + dy, col[:, None] + dx)
     typical = float(np.median(sd_px.ravel()[sure]))
-    weight = np.where(known[beside], 1 / (sd_px[beside] ** 2 + (NEIGHBOUR_SCALE * typical) ** 2), 0.0)
+    weight = np.where(
+        known[beside], 1 / (sd_px[beside].astype(np.float64) ** 2 + (NEIGHBOUR_SCALE * typical) ** 2), 0.0
+    )
     weight[:, (dy == 0) & (dx == 0)] = 0.0
     value = np.where(known[beside], place_px[beside] - place_px.ravel()[sure, None], 0.0)
     design = np.stack([np.ones(len(dx)), dx, dy, dx**2, dx * dy, dy**2], axis=1).astype(np.float64)
@@ -66,5 +68,5 @@ def _differences(place_px: Grid, sd_px: Grid) -> tuple[np.ndarray, np.ndarray]:
     enough = np.linalg.cond(normal) < 1e8
     inverse = np.linalg.inv(normal[enough])
     surface = np.einsum("pi,ps,si->p", inverse[:, 0], (weight * value)[enough], design, optimize=True)
-    own = sd_px.ravel()[sure][enough] ** 2
+    own = sd_px.ravel()[sure][enough].astype(np.float64) ** 2
     return surface**2, own + inverse[:, 0, 0]
