@@ -16,7 +16,7 @@ from scipy.ndimage import label, uniform_filter
 
 from recon.geometry.entry_point import EntryPoints
 from recon.geometry.light_paths import LightPaths
-from recon.media.index_estimate import robust_weights
+from recon.media.index_estimate import robust_weights, scatter_covariance
 from recon.sessions.manifest import Manifest
 
 # How far an unbent ray may seem to miss the camera: calibration errors of a tenth of a degree are ordinary.
@@ -31,6 +31,8 @@ DIRECTION_SIGMA = 2.0
 REGION_SIGMA = 1.0
 ROUNDING_MM = 1e-9
 LEVEL_ROUNDS = 8
+# Errors are alike where neighbours see the same pixels of the display.
+PATCH_PX = 16
 FEWEST_PIXELS = 100
 # The level is a plane if most of the candidates say so.
 PLANE_SHARE = 0.5
@@ -38,11 +40,12 @@ PLANE_SHARE = 0.5
 
 @dataclass(frozen=True, slots=True, eq=False)
 class LiquidLevel:
-    """The flat surface of the liquid: a point on it, its upright unit vector and the scatter of points about it, mm."""
+    """The flat surface of the liquid: a point on it, its upright unit vector, how points scatter about it, and its own sd."""
 
     centre_mm: Float64[np.ndarray, " 3"]
     upright: Float64[np.ndarray, " 3"]
     scatter_mm: float
+    sd_mm: float
 
 
 def liquid_surface(
@@ -76,7 +79,8 @@ def liquid_surface(
     with np.errstate(invalid="ignore"):
         on_level = np.abs(height) <= SIGMA * np.maximum(sd, level.scatter_mm)
         aligned = np.abs(normal @ level.upright) > np.cos(ALIGNED_RAD)
-        in_sd = height / np.maximum(np.where(sd > 0, sd, level.scatter_mm), ROUNDING_MM)
+        own_mm = np.hypot(np.where(sd > 0, sd, level.scatter_mm), level.sd_mm)
+        in_sd = height / np.maximum(own_mm, ROUNDING_MM)
     past = straight & on_level & aligned
     past &= _in_level_regions(past, in_sd, pixels=pixels, shape=shape)
     bent = on_level & aligned & ~past
@@ -147,7 +151,7 @@ def _level(
         return None
     upright = np.median(normal[known], axis=0)
     upright /= np.linalg.norm(upright)
-    middle = _level_height(paths, upright, known, place=place[known])
+    middle, middle_sd = _level_height(paths, upright, known, place=place[known])
     height = points.point_mm[known] @ upright - middle
     variance = np.einsum("i,pij,j->p", upright, points.covariance[known], upright)
     weight = 1 / np.maximum(variance, 1e-3 * np.median(variance)) if variance.any() else np.ones(len(height))
@@ -155,7 +159,7 @@ def _level(
     on_level = np.abs(height) <= SIGMA * np.maximum(np.sqrt(variance), scatter)
     if on_level.mean() < PLANE_SHARE:
         return None
-    return LiquidLevel(middle * upright, upright, scatter)
+    return LiquidLevel(middle * upright, upright, scatter, middle_sd)
 
 
 def _level_height(
@@ -164,8 +168,8 @@ def _level_height(
     known: Bool[np.ndarray, " pixels"],
     *,
     place: Float64[np.ndarray, "known 2"],
-) -> float:
-    """Return the height along ``upright`` at which the two paths of all known pixels meet.
+) -> tuple[float, float]:
+    """Return the height along ``upright`` at which the two paths of all known pixels meet, and its standard deviation.
 
     At a height L the paths are D₀ + L D₁ apart. Noise in D₁ would draw L towards where the display stands; so the equations are
     weighted by D₁ as an affine function of the pixel's place (row, column), which has next to none (instrumental variables).
@@ -184,7 +188,11 @@ def _level_height(
         each = weight[:, None] * smooth
         level = -(each * apart).sum() / (each * parting).sum()
         weight = robust_weights(np.linalg.norm(apart + level * parting, axis=1))
-    return float(level)
+    patch = np.unique(place // PATCH_PX, axis=0, return_inverse=True)[1].ravel()
+    variance = scatter_covariance(
+        parting.reshape(-1, 1), each.reshape(-1, 1), (apart + level * parting).ravel(), np.repeat(patch, 3)
+    )
+    return float(level), float(np.sqrt(variance[0, 0]))
 
 
 def _weighted_median(values: np.ndarray, weight: np.ndarray) -> float:
