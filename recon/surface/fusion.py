@@ -44,7 +44,7 @@ CORRECTION_TOLERANCE = 1e-4
 # Standard deviations are estimated from this many draws over this window: good to a tenth or better.
 DRAWS = 12
 DRAW_WINDOW_PX = 9
-DRAW_TOLERANCE = 1e-3
+DRAW_TOLERANCE = 1e-2  # of a draw, of which twelve tell an sd to a tenth
 DRAW_SEED = 20180601
 
 # Draws one error of every pixel's distance [rows, cols] and normal [rows, cols, 3] from the noise of its measurement, for a
