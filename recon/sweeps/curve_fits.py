@@ -10,7 +10,7 @@ from recon.sweeps.curve_lookup import looked_up
 from recon.sweeps.curve_samples import SweepCurves
 from recon.sweeps.footprint import coordinate_gradient
 from recon.sweeps.leverage import leverage_of
-from recon.sweeps.noise import NoiseModel, lone_peak_variance, noise_from_residuals
+from recon.sweeps.noise import NoiseModel, beside_peak_variance, lone_peak_variance, noise_from_residuals
 from recon.sweeps.stripe_fit import PIXELS_A_BLOCK, StripeFit, WidthPrior, fit_stripe
 from recon.sweeps.two_paths import TwoPaths, two_paths
 from recon.sweeps.width_prior import GRADIENT_SD, Footprints, NeighbourWidths, known_prior, neighbour_widths
@@ -82,6 +82,7 @@ def prepared_fits(
     box_px = _boxes(curves, _centres(curves, pixels, grid=grid), pixels)
     some, spacing = _lattice(pixels, grid)
     few = slice(None, None, max(len(some) // NOISE_PIXELS, 1))
+    dark_variance = max(dark_variance, beside_peak_variance(curves.windows, curves.black) or 0.0)
     noise = NoiseModel(dark_variance)
     lone = lone_peak_variance(curves.windows, black, clipped=curves.clipped, dark_variance=dark_variance)
     # What is taken for blur depends on the noise, and what for noise on the blur: twice round is enough.

@@ -11,7 +11,7 @@ from recon.sessions.manifest import StripePattern
 from recon.sweeps.curve_fits import CurveFits, good_fit, prepared_fits
 from recon.sweeps.curve_samples import SweepCurves
 from recon.sweeps.curve_table import curve_table
-from recon.sweeps.map_scatter import scatter_beyond_px
+from recon.sweeps.map_scatter import scatter_beyond
 from recon.sweeps.stripe_peak import PeakWindows
 from recon.sweeps.two_paths import unresolved_px
 
@@ -76,9 +76,9 @@ def places_by_likelihood(
     curves = SweepCurves(windows, table, black.ravel(), clipped)
     fits = prepared_fits(curves, pixels, grid=black.shape, dark_variance=dark_variance)
     place_px = np.full(black.shape, np.nan)
-    sd_px, light, chi_square, freedom = (np.full(black.shape, np.nan, dtype=np.float32) for _ in range(4))
+    sd_px, light, chi_square, freedom, width_px = (np.full(black.shape, np.nan, dtype=np.float32) for _ in range(5))
     unresolved = np.zeros(black.shape, dtype=np.float32)
-    twice, second_px, second_sd_px = [pixels[:0]], [np.empty(0)], [np.empty(0)]
+    twice, second_px, second_sd_px, second_width_px = [pixels[:0]], [np.empty(0)], [np.empty(0)], [np.empty(0)]
     for low in range(0, len(pixels), PIXELS_AT_ONCE):
         rows = slice(low, low + PIXELS_AT_ONCE)
         fit, prior, two = fits.fit(rows)
@@ -87,7 +87,12 @@ def places_by_likelihood(
         # The other peak may reach into the window's end, and its light has been taken away.
         cut_off[two.rows] = False
         good = good_fit(fit, pattern, noise=fits.noise) & ~cut_off
-        for one, values in ((chi_square, fit.chi_square), (freedom, fit.freedom), (light, fit.amplitude)):
+        for one, values in (
+            (chi_square, fit.chi_square),
+            (freedom, fit.freedom),
+            (light, fit.amplitude),
+            (width_px, np.exp(fit.log_width)),
+        ):
             one.ravel()[part] = values
         place_px.ravel()[part[good]], sd_px.ravel()[part[good]] = fit.place_px[good], fit.sd_px[good]
         unsure = unresolved_px(fit, prior)
@@ -95,19 +100,21 @@ def places_by_likelihood(
         unresolved.ravel()[part[unsure > 0]] = unsure[unsure > 0]
         twice.append(part[two.rows])
         second_px.append(two.second.place_px)
+        second_width_px.append(np.exp(two.second.log_width))
         ratio = two.second.chi_square / two.second.freedom
         second_sd_px.append(two.second.sd_px * np.sqrt(np.maximum(ratio, 1.0)))
     misfit = float(np.median((chi_square / freedom).ravel()[pixels])) if len(pixels) else float("nan")
     sd_px *= _misfit_scale(chi_square, freedom, np.isfinite(place_px))
     np.hypot(sd_px, unresolved, out=sd_px)
-    beyond_px = scatter_beyond_px(place_px, sd_px)
-    np.hypot(sd_px, np.float32(beyond_px), out=sd_px)
+    beyond = scatter_beyond(place_px, sd_px, width_px)
+    width_px *= np.float32(beyond)
+    np.hypot(sd_px, width_px, out=sd_px)
     return LikelihoodPlaces(
         place_px=place_px,
         sd_px=sd_px,
         twice=np.concatenate(twice),
         second_px=np.concatenate(second_px),
-        second_sd_px=np.hypot(np.concatenate(second_sd_px), beyond_px),
+        second_sd_px=np.hypot(np.concatenate(second_sd_px), beyond * np.concatenate(second_width_px)),
         light=light,
         misfit=misfit,
         fits=fits,

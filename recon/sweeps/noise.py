@@ -19,6 +19,12 @@ DARK_SHARE = 2e-3
 # A pixel is lit in one photo alone where the photos beside it hold less than this share of its light.
 LONE_SHARE = 0.01
 LARGEST_STEP_SHARE = 0.1
+# The ringing of compressed photos comes seldom and is then many times the usual noise. A fit takes such a sample for light, so it
+# counts; what is farther out, in variances, is light.
+LARGEST_SQUARE = 64.0
+# Peaks of this share of the median one are bright; so many pixels tell the noise beside them.
+BRIGHT_SHARE = 0.5
+BESIDE_PIXELS = 100_000
 COUNTED_AT_ONCE = 1 << 18
 
 
@@ -76,11 +82,11 @@ def _median_magnitude(difference: np.ndarray, count: np.ndarray) -> float:
 
 
 def _clipped_variance(residual: np.ndarray) -> float:
-    """Return the mean square of the residuals without those beyond four standard deviations."""
+    """Return the mean square of the residuals without those beyond eight standard deviations."""
     square = residual.astype(np.float64) ** 2
     variance = float(np.median(square)) / CHI_SQUARE_MEDIAN
     for _ in range(3):
-        variance = float(square[square <= 16 * variance].mean())
+        variance = float(square[square <= LARGEST_SQUARE * variance].mean())
     return variance
 
 
@@ -149,3 +155,27 @@ def lone_peak_variance(
     height = 0.5 * (peak[:, 1:] + peak[:, :-1])[pair]
     square = 0.5 * (peak[:, 1:] - peak[:, :-1])[pair].astype(np.float64) ** 2
     return float(np.median(height)), float(np.median(square)) / CHI_SQUARE_MEDIAN
+
+
+def beside_peak_variance(windows: PeakWindows, black: np.ndarray) -> float | None:
+    """Return the variance of the dark samples next to a bright peak, or None where next to peaks hardly any is dark.
+
+    A stripe takes no light away, so what lies below the rest of the window there is noise; as much of it lies above, where a fit
+    takes it for light. Compressed photos are noisier there than elsewhere: blocks with an edge in them ring.
+    """
+    middle = windows.half_width
+    number = windows.peak_index
+    lit = np.flatnonzero((number >= middle) & (number < windows.photo_count - middle))
+    lit = lit[:: max(len(lit) // BESIDE_PIXELS, 1)]
+    if middle < 2 or len(lit) == 0:
+        return None
+    samples = windows.samples[lit].astype(np.float32)
+    peak = samples[:, middle] - black[lit]
+    samples = samples[peak >= BRIGHT_SHARE * np.median(peak)]
+    rest = np.delete(samples, [middle - 1, middle, middle + 1], axis=1)
+    height = samples[:, [middle - 1, middle + 1]] - rest.mean(axis=1, keepdims=True)
+    below = height[height < 0].astype(np.float64)
+    if len(below) < FEWEST_IN_BIN:
+        return None
+    # The mean of the rest has noise of its own.
+    return float((below**2).mean() - np.median(rest.var(axis=1, ddof=1)) / rest.shape[1])

@@ -20,7 +20,7 @@ from recon.status import PixelStatus
 from recon.sweeps.correspondence import LEAST_PEAK_COUNTS, PEAK_SIGMA, SweepResult
 from recon.sweeps.curve_fits import LARGEST_MISFIT
 from recon.sweeps.display_response import response_of, response_undone
-from recon.sweeps.map_scatter import scatter_beyond_px
+from recon.sweeps.map_scatter import scatter_beyond
 from recon.sweeps.noise import ROUNDING_VARIANCE, NoiseModel, noise_from_residuals
 from recon.sweeps.photo_stream import black_photo, has_black, photo_stream
 
@@ -114,7 +114,7 @@ def decode_phase_shift(
     fine = status == PixelStatus.OK
     place_px, sd_px = (np.where(fine, one, np.nan).reshape(shape) for one in (places.place_px, places.sd_px))
     # JPEG bends fringes finer than its blocks much alike in every phase: no residual shows it, the map of places does.
-    sd_px = np.hypot(sd_px, scatter_beyond_px(place_px, sd_px))
+    sd_px = np.hypot(sd_px, scatter_beyond(place_px, sd_px, np.ones(shape)))
     return SweepResult(
         place_px=place_px,
         sd_px=sd_px.astype(np.float32),

@@ -8,7 +8,7 @@ from recon.sessions.pattern import StripePattern
 from recon.study.correspondence_study import decoded, sample_noise, stripe_patterns
 from recon.study.stripe_bound import SampleNoise, blurred_profile, place_bound_px
 from recon.sweeps.curve_reach import curve_half_width
-from recon.sweeps.map_scatter import scatter_beyond_px
+from recon.sweeps.map_scatter import scatter_beyond
 
 HARD, COSINE = stripe_patterns().values()
 
@@ -64,11 +64,15 @@ def test_windows_reach_as_far_as_the_curves(footprint_px: float, expected: int) 
     assert found == expected
 
 
-def test_scatter_that_no_sd_tells_is_found_in_a_bent_map() -> None:
+@pytest.mark.parametrize("jump_px", [0.0, 5.0])
+def test_scatter_that_no_sd_tells_is_found_in_a_bent_map_with_a_jump_and_a_gap(jump_px: float) -> None:
     rng = np.random.default_rng(4)
     y, x = np.mgrid[:120, :120] / 10.0
     sd = np.full(x.shape, 0.01)
-    place = 40 + 6 * np.sin(0.1 * x) + 0.3 * y**2 + rng.normal(0, np.hypot(0.01, 0.03), x.shape)
-    # 3,600 of the surest places: their variance is known to a fortieth, the scatter to a good eightieth; four of them.
-    assert scatter_beyond_px(place, sd) == pytest.approx(0.03, rel=0.06)
-    assert scatter_beyond_px(place, np.full(x.shape, 0.05)) == 0.0
+    footprint_px = 0.2 + 0.02 * x
+    place = 40 + 6 * np.sin(0.1 * x) + 0.3 * y**2 + rng.normal(0, np.hypot(0.01, 0.1 * footprint_px), x.shape)
+    place[x + y > 12] += jump_px
+    place[30:50, 30:50] = np.nan
+    # Some 2,500 places: their variance is known to a thirtieth, the scatter to a sixtieth; four of them.
+    assert scatter_beyond(place, sd, footprint_px) == pytest.approx(0.1, rel=0.067)
+    assert scatter_beyond(place, np.full(x.shape, 0.06), footprint_px) == 0.0

@@ -12,7 +12,7 @@ from recon.sessions.manifest import StripePattern
 from recon.sweeps.curve_lookup import looked_up
 from recon.sweeps.curve_samples import CurveSamples, SweepCurves
 from recon.sweeps.curve_table import curve_table
-from recon.sweeps.noise import NoiseModel, dark_variance, noise_from_residuals
+from recon.sweeps.noise import NoiseModel, beside_peak_variance, dark_variance, noise_from_residuals
 from recon.sweeps.stripe_fit import StripeFit, fit_stripe
 from recon.sweeps.stripe_model import footprint_average
 from recon.sweeps.stripe_peak import NO_PEAK, PeakTracker, PeakWindows, parabola_offset
@@ -185,6 +185,25 @@ def test_dark_noise_is_read_from_two_photos_with_the_stripe_elsewhere() -> None:
     first[:, :6] = 200
     # Variance of rounded Gaussian noise: 4 + 1/12. 40000 samples: relative sd of a variance 0.7 %.
     assert dark_variance(first, second) == pytest.approx(4 + 1 / 12, rel=0.03)
+
+
+@pytest.mark.parametrize("ringing_sd", [0.0, 3.0])
+def test_noise_beside_a_peak_is_read_from_what_lies_below_black(ringing_sd: float) -> None:
+    rng = np.random.default_rng(7)
+    counts = rng.normal(40.0, 1.0, (4000, 11))
+    counts[:, [4, 6]] += rng.normal(0.0, ringing_sd, (4000, 2))
+    counts[:, 5] += 150.0
+    # One pixel in four is lit in a second photo as well: that is no noise.
+    counts[::4, 6] += 60.0
+    windows = PeakWindows(np.full(4000, 20, np.int32), np.rint(counts * 16).astype(np.uint16), 5, 64)
+    # 3500 samples below: the sd of a variance is sqrt(2/3500) of it; four of them.
+    variance = (1.0 + ringing_sd**2) * 16**2
+    assert beside_peak_variance(windows, np.full(4000, 40 * 16)) == pytest.approx(variance, rel=0.1)
+
+
+def test_a_smooth_stripe_tells_no_noise_beside_its_peak() -> None:
+    windows, black = curves(np.linspace(20, 40, 500), COSINE, np.random.default_rng(8), footprint_px=(0.7, 0.4))
+    assert beside_peak_variance(windows, black) is None
 
 
 def test_the_photon_transfer_curve_is_found_from_residuals() -> None:
