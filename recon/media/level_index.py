@@ -7,16 +7,11 @@ all pixels and is found with the index; it also takes up a tilt of all paths ali
 import numpy as np
 from jaxtyping import Float64, Int64
 
-from recon.media.index_estimate import NORMAL_CONSISTENT_MAD, IndexEstimate, scatter_covariance
+from recon.media.index_estimate import IndexEstimate, robust_weights, scatter_covariance
 
 FEWEST_PIXELS = 300
 ROUNDS = 8
 PATCHES_A_SIDE = 24
-# Where a photo pixel is finer than the display's, its place errs with its phase in the display's pixel, alike down a whole
-# column. Phases average out over the region, but not at an edge where it ends sharply: so pixels count less towards its edges,
-# over this many. For the same reason errors are not weighed by their size; what is far beyond their scatter is left out.
-TAPER_PX = 20.0
-STRAY_SD = 5.0
 
 Directions = Float64[np.ndarray, "pixels 3"]
 
@@ -27,7 +22,6 @@ def index_from_level(
     *,
     upright: Float64[np.ndarray, " 3"],
     place: Float64[np.ndarray, "pixels 2"],
-    from_edge_px: Float64[np.ndarray, " pixels"],
     n_air: float,
 ) -> IndexEstimate | None:
     """Return the index that makes one plane refract every pixel's path in air into its path in liquid.
@@ -37,7 +31,6 @@ def index_from_level(
     liquid, air : unit directions of the two paths.
     upright : the surface's normal, roughly; it is refined.
     place : row and column of each pixel, from 0 to 1 over the photo.
-    from_edge_px : how far each pixel is from the nearest that does not look at the level, or from the photo's border.
     n_air : index of air.
 
     Notes
@@ -50,38 +43,24 @@ def index_from_level(
         return None
     axes = _across(upright)
     smooth = _smooth_basis(place)
-    taper = _taper(from_edge_px)
     along = (1.333 * liquid - n_air * air) @ upright
     count, zero = len(liquid), np.zeros(len(liquid))
     regressors, instruments, right = [], [], []
     for number, axis in enumerate(axes):
         tilts = [-along if other == number else zero for other in range(2)]
         sideways = n_air * (air @ axis)
-        fitted = smooth @ np.linalg.lstsq(smooth * taper[:, None], sideways * taper, rcond=None)[0]
+        fitted = smooth @ np.linalg.lstsq(smooth, sideways, rcond=None)[0]
         regressors.append(np.column_stack([liquid @ axis, *tilts]))
-        instruments.append(np.column_stack([fitted, *tilts]) * taper[:, None])
+        instruments.append(np.column_stack([fitted, *tilts]))
         right.append(sideways)
     a, z, b = np.concatenate(regressors), np.concatenate(instruments), np.concatenate(right)
     weight = np.ones(2 * count)
     for _ in range(ROUNDS):
         answer = np.linalg.solve((z * weight[:, None]).T @ a, (z * weight[:, None]).T @ b)
-        weight = _spared(b - a @ answer)
+        weight = robust_weights(b - a @ answer)
     patch = np.tile(_patches(place), 2)
     covariance = scatter_covariance(a, z * weight[:, None], b - a @ answer, patch)
     return IndexEstimate(float(answer[0]), float(np.sqrt(covariance[0, 0])), count)
-
-
-def _taper(from_edge_px: Float64[np.ndarray, " pixels"]) -> Float64[np.ndarray, " pixels"]:
-    """Return a weight that rises smoothly from the edge; a region that is narrower than two tapers keeps its middle."""
-    rise_px = min(TAPER_PX, float(from_edge_px.max()))
-    share = np.clip((from_edge_px - 0.5) / rise_px, 0.0, 1.0)
-    return share**2 * (3 - 2 * share)
-
-
-def _spared(residual: Float64[np.ndarray, " equations"]) -> Float64[np.ndarray, " equations"]:
-    """Return 1 for all but the residuals far beyond the others' scatter."""
-    scale = NORMAL_CONSISTENT_MAD * float(np.median(np.abs(residual)))
-    return (np.abs(residual) <= STRAY_SD * scale).astype(np.float64) if scale > 0 else np.ones_like(residual)
 
 
 def _across(upright: np.ndarray) -> tuple[np.ndarray, np.ndarray]:

@@ -3,8 +3,6 @@
 from dataclasses import dataclass, replace
 
 import numpy as np
-from jaxtyping import Float64
-from scipy.ndimage import distance_transform_edt
 
 from recon.errors import ReconError
 from recon.media.chord_index import index_from_chords
@@ -54,7 +52,6 @@ def measured_index(crossing: Crossing, manifest: Manifest) -> MeasuredIndex:
             crossing.air.direction[beside],
             upright=upright / np.linalg.norm(upright),
             place=np.column_stack([row / camera.rows, column / camera.columns]),
-            from_edge_px=_from_edge_px(crossing.pixels[beside], shape=(camera.rows, camera.columns)),
             n_air=manifest.n_air,
         )
     points = crossing.points
@@ -74,14 +71,6 @@ def measured_index(crossing: Crossing, manifest: Manifest) -> MeasuredIndex:
         n_air=manifest.n_air,
     )
     return MeasuredIndex(level, chords)
-
-
-def _from_edge_px(pixels: np.ndarray, *, shape: tuple[int, int]) -> Float64[np.ndarray, " pixels"]:
-    """Return how far each of these pixels is from the nearest other one, or from the photo's border."""
-    framed = np.zeros((shape[0] + 2, shape[1] + 2), dtype=bool)
-    row, column = np.divmod(pixels, shape[1])
-    framed[row + 1, column + 1] = True
-    return distance_transform_edt(framed)[row + 1, column + 1]
 
 
 def with_index_uncertainty(crossing: Crossing, manifest: Manifest, *, sd: float) -> Crossing:

@@ -1,6 +1,5 @@
 """The liquid's index: water by the published tables, and measured by sessions traced through the simulator's optics."""
 
-from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -108,37 +107,10 @@ def test_exact_paths_at_a_level_give_the_index_whatever_the_tilt(n_liquid: float
     # Snell's law in vector form: the part across the upright shrinks by the ratio of the indices.
     across = (air - (air @ lean)[:, None] * lean) / n_liquid
     liquid = across + np.sqrt(1 - (across**2).sum(axis=1, keepdims=True)) * lean
-    found = index_from_level(
-        liquid, air, upright=np.array([0.0, 0.0, 1.0]), place=place, from_edge_px=np.full(2000, 99.0), n_air=1.0
-    )
+    found = index_from_level(liquid, air, upright=np.array([0.0, 0.0, 1.0]), place=place, n_air=1.0)
     assert found is not None
     # The lean of 2° is taken to first order about a provisional index.
     assert found.n == pytest.approx(n_liquid, abs=2e-4)
-
-
-def mean_of_display_pixels(place_px: np.ndarray, axis: int) -> np.ndarray:
-    """Return the mean number of the display pixels that a camera pixel sees: boxes of their spacing, lit or dark as a whole."""
-    width = np.abs(np.gradient(place_px, axis=axis))
-
-    def integral(end: np.ndarray) -> np.ndarray:
-        pixel = np.floor(end + 0.5)
-        return pixel * end - pixel**2 / 2
-
-    return (integral(place_px + width / 2) - integral(place_px - width / 2)) / width
-
-
-def test_a_display_coarser_than_the_photo_does_not_pull_the_index_at_the_edges_of_the_level() -> None:
-    """Places then err by up to half a display pixel, alike down a whole column of the photo."""
-    session = traced_session(load_scene("ornament").resized(camera_columns=200), noise_px=0.0, stated_sd_px=0.1)
-    sweeps = {
-        (name, axis): replace(one, place_px=mean_of_display_pixels(one.place_px, axis=1 if axis == "x" else 0))
-        for (name, axis), one in session.sweeps.items()
-    }
-    coarse = replace(session, sweeps=sweeps)
-    level = measured_index(crossed(coarse, coarse.manifest), coarse.manifest).level
-    assert level is not None
-    assert level.n == pytest.approx(1.3355, abs=WANTED_N)
-    assert abs(level.n - 1.3355) < 4 * level.sd
 
 
 def test_reconstruction_without_an_index_uses_the_one_that_the_session_shows(hemisphere: TracedSession) -> None:
