@@ -3,6 +3,7 @@
 from recon.study.assumptions_study import assumptions
 from recon.study.correspondence_study import correspondence
 from recon.study.experiment import Experiment
+from recon.study.integration_study import integration
 from recon.study.noise_studies import noise_by_baseline, noise_by_index
 from recon.study.photo_studies import bottle, concave, hemisphere, ornament, plates
 from recon.study.resolution import resolution
@@ -23,4 +24,5 @@ EXPERIMENTS = (
     Experiment("correspondence", "Correspondence against its bound", correspondence),
     Experiment("assumptions", "Wrong assumptions", assumptions),
     Experiment("resolution", "Ripples and a step: what is resolved", resolution),
+    Experiment("integration", "Integration of normals alone", integration),
 )
