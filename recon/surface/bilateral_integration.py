@@ -15,6 +15,7 @@ from scipy.special import expit
 from recon.surface.neighbours import Neighbours, components, neighbours_of
 from recon.surface.quadratic_integration import GRAZING_COSINE, on_grids
 from recon.surface.ray_bundle import Mask, PixelRays, RayBundle
+from recon.surface.sparse_solver import SparseSolver
 from recon.surface.steps import heights_from_steps
 
 # The published sharpness of the choice, and when to stop: the energy changes by less than this share of itself.
@@ -62,12 +63,14 @@ def integrate_bilateral(
     along_row = _along_row(graph)
     unknown = np.zeros(graph.pixels)
     spacing = rays.spacing(used)
-    energy = np.inf
+    energy, system = np.inf, SparseSolver()
     for _ in range(MOST_ROUNDS if len(graph.first) else 0):
         ahead, behind = _weights(unknown, graph, forward, backward, along_row, spacing=spacing)
         total = ahead + behind
         step = (ahead * forward.step + behind * backward.step) / total
-        unknown = heights_from_steps(graph, step, total, guess=unknown, relative_tolerance=SOLVER_TOLERANCE)
+        unknown = heights_from_steps(
+            graph, step, total, guess=unknown, relative_tolerance=SOLVER_TOLERANCE, system=system
+        )
         rise = unknown[graph.second] - unknown[graph.first]
         before, energy = (
             energy,

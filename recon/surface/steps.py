@@ -4,7 +4,7 @@ import numpy as np
 from jaxtyping import Float64
 
 from recon.surface.neighbours import Neighbours, components, normal_equations
-from recon.surface.sparse_solver import RELATIVE_TOLERANCE, solver
+from recon.surface.sparse_solver import RELATIVE_TOLERANCE, SparseSolver
 
 PerPair = Float64[np.ndarray, " pairs"]
 PerUnknown = Float64[np.ndarray, " unknowns"]
@@ -17,10 +17,12 @@ def heights_from_steps(
     *,
     guess: PerUnknown | None = None,
     relative_tolerance: float = RELATIVE_TOLERANCE,
+    system: SparseSolver | None = None,
 ) -> PerUnknown:
     """Minimise Σ weight (h_second − h_first − step)²; one unknown of each connected part is held near 0.
 
-    ``guess`` is where the solver begins, ``relative_tolerance`` where it stops.
+    ``guess`` is where the solver begins, ``relative_tolerance`` where it stops. ``system`` keeps what the same graph with other
+    weights can use again.
     """
     if not len(step):
         return np.zeros(graph.pixels)
@@ -34,4 +36,4 @@ def heights_from_steps(
     right = np.bincount(graph.second, pull, minlength=graph.pixels)
     right -= np.bincount(graph.first, pull, minlength=graph.pixels)
     start = np.zeros(graph.pixels) if guess is None else guess - guess[held > 0][part]
-    return solver(matrix, relative_tolerance=relative_tolerance)(right, start)
+    return (system or SparseSolver()).solver(matrix, relative_tolerance=relative_tolerance)(right, start)
