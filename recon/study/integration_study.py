@@ -7,15 +7,16 @@ import numpy as np
 
 from recon.study.experiment import Findings, StudySize, Tell
 from recon.study.study_result import Cell, Curve, StudyFigure, StudyTable
+from recon.study.thin_forms import thin_forms
 from recon.study.true_surfaces import SURFACES, View, seen_in_parallel, seen_in_perspective, with_noise
 from recon.surface.integration import Integration, integrate_orthographic, integrate_perspective
 
 FORMS: tuple[Integration, ...] = ("quadratic", "discrete", "bilateral")
 VIEWS = {"parallel": seen_in_parallel, "perspective": seen_in_perspective}
 NOISES_DEG = (0.0, 1.0)
-COLUMNS = 64
+COLUMNS = 128
 # What is timed: a smooth surface, up to a megapixel, and one that jumps, whose rounds of bilateral weights are many.
-TIMED = {"hills": (2, 4, 8, 16), "cut sheet": (2,)}
+TIMED = {"hills": (1, 2, 4, 8), "cut sheet": (1, 2)}
 TIMED_NOISE_DEG = 1.0
 # Objects of 100 mm, as those of DiLiGenT are about.
 HALF_SIDE_MM = 50.0
@@ -26,7 +27,7 @@ PUBLISHED = (
 )
 
 
-def integration(_: Path, size: StudySize, tell: Tell) -> Findings:
+def integration(folder: Path, size: StudySize, tell: Tell) -> Findings:
     """Closed-form surfaces, in parallel and in perspective, with and without noise on the normals; then size and time."""
     columns = size.columns_or(COLUMNS)
     rng = np.random.default_rng(size.seed)
@@ -61,7 +62,8 @@ def integration(_: Path, size: StudySize, tell: Tell) -> Findings:
         curves=curves,
         x_scale="log",
     )
-    return Findings(setting, (accuracy, timed, published), (figure,))
+    thin = thin_forms(folder, columns, rng, tell)
+    return Findings(setting, (accuracy, timed, published, thin), (figure,))
 
 
 def depth_error_mm(view: View, form: Integration) -> float:
