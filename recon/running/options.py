@@ -49,7 +49,7 @@ IntegrationOption = Annotated[
     typer.Option(
         help="Thin objects: how normals become a surface. fused: together with the triangulated points; the others take the "
         "normals alone: quadratic: least squares; discrete: as published; bilateral: keeps jumps of depth. "
-        "[default: fused; discrete for method paper]",
+        "[default: quadratic; discrete for method paper]",
         show_default=False,
     ),
 ]

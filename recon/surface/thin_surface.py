@@ -14,7 +14,7 @@ from recon.surface.ray_bundle import ScalarMap, VectorMap
 from recon.sweeps.correspondence import Method
 
 ThinForm = Literal["fused", "quadratic", "discrete", "bilateral"]
-USUAL_FORM: dict[Method, ThinForm] = {"paper": "discrete", "full": "fused"}
+USUAL_FORM: dict[Method, ThinForm] = {"paper": "discrete", "full": "quadratic"}
 NOTES: dict[ThinForm, str] = {
     "fused": "The surface joins triangulated points and normals, each by its own uncertainty.",
     "quadratic": "The surface is integrated from the normals by quadratic least squares; the points only say where it stands.",
