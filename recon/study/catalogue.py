@@ -7,7 +7,6 @@ from recon.study.integration_study import integration
 from recon.study.noise_studies import noise_by_baseline, noise_by_index
 from recon.study.photo_studies import bottle, concave, hemisphere, ornament, plates
 from recon.study.resolution import resolution
-from recon.study.resolution_photos import resolution_by_photos
 from recon.study.thin_studies import cone_by_padding, shell_by_shift
 from recon.study.total_reflection import total_reflection
 
@@ -25,6 +24,5 @@ EXPERIMENTS = (
     Experiment("correspondence", "Correspondence against its bound", correspondence),
     Experiment("assumptions", "Wrong assumptions", assumptions),
     Experiment("resolution", "Ripples and a step: what is resolved", resolution),
-    Experiment("resolution-photos", "Ripples through photos", resolution_by_photos),
     Experiment("integration", "Integration of normals alone", integration),
 )
