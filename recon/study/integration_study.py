@@ -60,6 +60,7 @@ def integration(folder: Path, size: StudySize, tell: Tell) -> Findings:
         x_label="pixels (millions)",
         y_label="processor seconds a megapixel",
         curves=curves,
+        y_scale="linear",
         x_scale="log",
     )
     thin = thin_forms(folder, columns, rng, tell)
@@ -106,7 +107,7 @@ def timings(columns: int, rng: np.random.Generator, tell: Tell) -> tuple[StudyTa
                 spent_s[form].append((time.process_time() - begun_s) / millions)
                 rows.append((surface.name, size, millions, form, error_mm, spent_s[form][-1]))
         if len(sizes) > 1:
-            curves += [Curve(label=f"{surface.name}, {form}", x=megapixels, y=tuple(spent_s[form])) for form in FORMS]
+            curves += [Curve(label=f"{form} ({surface.name})", x=megapixels, y=tuple(spent_s[form])) for form in FORMS]
     table = StudyTable(
         title="Size and time",
         headings=("surface", "columns", "megapixels", "form", "error (mm)", "processor seconds a megapixel"),
