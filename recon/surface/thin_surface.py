@@ -11,6 +11,7 @@ import numpy as np
 from recon.surface.fusion import fuse_on_rays
 from recon.surface.integration import integrate_on_rays
 from recon.surface.ray_bundle import ScalarMap, VectorMap
+from recon.surface.sparse_solver import SolverError
 from recon.sweeps.correspondence import Method
 
 ThinForm = Literal["fused", "quadratic", "discrete", "bilateral"]
@@ -39,7 +40,13 @@ def thin_surface_points(
     """
     mask = np.isfinite(normal).all(axis=2)
     if form == "fused":
-        return fuse_on_rays(origin_mm, direction, distance_mm, distance_sd_mm, normal, normal_sd_rad, mask).point_mm
+        try:
+            return fuse_on_rays(origin_mm, direction, distance_mm, distance_sd_mm, normal, normal_sd_rad, mask).point_mm
+        except np.linalg.LinAlgError as error:
+            raise SolverError(
+                "--integration fused: the points are so poor beside the normals that their equations are singular; "
+                "use --integration quadratic"
+            ) from error
     return integrate_on_rays(
         normal,
         mask,
