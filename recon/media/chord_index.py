@@ -7,7 +7,7 @@ are a smooth function of row and column, whose slopes are two tangents T; n·T =
 import numpy as np
 from jaxtyping import Float64
 
-from recon.media.index_estimate import IndexEstimate, robust_weights, scatter_covariance
+from recon.media.index_estimate import IndexEstimate, index_variance, robust_weights
 
 # Wide enough for the points' noise to average out, narrow enough for a third-order surface.
 BLOCK_PX = 11
@@ -49,25 +49,27 @@ def index_from_chords(point_mm: VectorMap, liquid: VectorMap, air: VectorMap, *,
     fit = np.linalg.solve(normal, right)
     scatter = _scatter(fields[..., :3], known, basis @ fit[..., :3])
     shape = np.linalg.inv(normal)
-    a, d, variance = [], [], []
+    a, d, spread = [], [], []
     for places, along_row in ((PLACES, True), (PLACES[:, ::-1], False)):
         for place in places:
             here, slope = _terms(*place), _slopes(*place, along_row=along_row)
             u, v, tangent = here @ fit[..., 3:6], here @ fit[..., 6:9], slope @ fit[..., :3]
             a.append(np.einsum("bi,bi->b", u, tangent))
             d.append(a[-1] - n_air * np.einsum("bi,bi->b", v, tangent))
-            variance.append(scatter * np.einsum("t,bts,s->b", slope, shape, slope))
+            spread.append(scatter * np.einsum("t,bts,s->b", slope, shape, slope))
     dependent, regressor = np.concatenate(a), np.concatenate(d)[:, None]
-    certainty = 1 / np.concatenate(variance)
+    certainty = 1 / np.concatenate(spread)
     ratio = _middle_ratio(dependent, regressor[:, 0], certainty)
     for _ in range(ROUNDS):
         residual = dependent - ratio * regressor[:, 0]
         weight = certainty * robust_weights(residual * np.sqrt(certainty))
         ratio = float((weight * regressor[:, 0]) @ dependent / ((weight * regressor[:, 0]) @ regressor[:, 0]))
     residual = dependent - ratio * regressor[:, 0]
-    patch = np.tile(np.arange(len(fields)), 2 * len(PLACES))
-    ratio_variance = scatter_covariance(regressor, regressor * weight[:, None], residual, patch)[0, 0]
-    return IndexEstimate(1 - 1 / ratio, float(np.sqrt(ratio_variance)) / ratio**2, int(known.sum()))
+    row, column = (
+        np.tile(number, 2 * len(PLACES)) for number in np.divmod(np.flatnonzero(enough), point_mm.shape[1] // BLOCK_PX)
+    )
+    variance = index_variance(regressor, regressor * weight[:, None], residual, row=row, column=column)
+    return IndexEstimate(1 - 1 / ratio, float(np.sqrt(variance)) / ratio**2, int(known.sum()))
 
 
 def _middle_ratio(dependent: np.ndarray, regressor: np.ndarray, certainty: np.ndarray) -> float:

@@ -39,3 +39,23 @@ def scatter_covariance(
     count = int(patch.max()) + 1
     summed = np.stack([np.bincount(patch, pull[:, k], count) for k in range(pull.shape[1])], axis=1)
     return bread @ (summed.T @ summed) @ bread.T
+
+
+def index_variance(
+    regressors: Float64[np.ndarray, "equations unknowns"],
+    instruments: Float64[np.ndarray, "equations unknowns"],
+    residual: Float64[np.ndarray, " equations"],
+    *,
+    row: Int64[np.ndarray, " equations"],
+    column: Int64[np.ndarray, " equations"],
+) -> float:
+    """Return the variance of the first unknown where errors are alike along rows and along columns of the photo.
+
+    Pixels of one row, and of one column, see the same pixels of the display: two ways of clustering (Cameron, Gelbach and Miller
+    2011, equation 2.7), and no less than any of its parts.
+    """
+    by_row, by_column, by_both = (
+        float(scatter_covariance(regressors, instruments, residual, group)[0, 0])
+        for group in (row, column, row * (int(column.max()) + 1) + column)
+    )
+    return max(by_row + by_column - by_both, by_row, by_column, by_both)

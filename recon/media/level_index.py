@@ -7,11 +7,11 @@ all pixels and is found with the index; it also takes up a tilt of all paths ali
 import numpy as np
 from jaxtyping import Float64, Int64
 
-from recon.media.index_estimate import IndexEstimate, robust_weights, scatter_covariance
+from recon.media.index_estimate import IndexEstimate, index_variance, robust_weights
 
 FEWEST_PIXELS = 300
 ROUNDS = 8
-PATCHES_A_SIDE = 24
+BANDS_A_SIDE = 24
 
 Directions = Float64[np.ndarray, "pixels 3"]
 
@@ -58,9 +58,9 @@ def index_from_level(
     for _ in range(ROUNDS):
         answer = np.linalg.solve((z * weight[:, None]).T @ a, (z * weight[:, None]).T @ b)
         weight = robust_weights(b - a @ answer)
-    patch = np.tile(_patches(place), 2)
-    covariance = scatter_covariance(a, z * weight[:, None], b - a @ answer, patch)
-    return IndexEstimate(float(answer[0]), float(np.sqrt(covariance[0, 0])), count)
+    row, column = np.tile(_bands(place), (2, 1)).T
+    variance = index_variance(a, z * weight[:, None], b - a @ answer, row=row, column=column)
+    return IndexEstimate(float(answer[0]), float(np.sqrt(variance)), count)
 
 
 def _across(upright: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
@@ -76,6 +76,6 @@ def _smooth_basis(place: np.ndarray) -> np.ndarray:
     return np.column_stack([row**i * column**j for i in range(4) for j in range(4 - i)])
 
 
-def _patches(place: np.ndarray) -> Int64[np.ndarray, " pixels"]:
-    part = np.minimum((place * PATCHES_A_SIDE).astype(np.int64), PATCHES_A_SIDE - 1)
-    return part[:, 0] * PATCHES_A_SIDE + part[:, 1]
+def _bands(place: np.ndarray) -> Int64[np.ndarray, "pixels 2"]:
+    """Return the band of rows and the band of columns that each pixel lies in."""
+    return np.minimum((place * BANDS_A_SIDE).astype(np.int64), BANDS_A_SIDE - 1)
