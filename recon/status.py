@@ -22,6 +22,7 @@ class PixelStatus(IntEnum):
     BAD_CODE = 10
     TWO_PATHS = 11
     HALF_SEEN = 12
+    STANDS_ALONE = 13
 
 
 REASONS: dict[PixelStatus, str] = {
@@ -38,6 +39,7 @@ REASONS: dict[PixelStatus, str] = {
     PixelStatus.BAD_CODE: "its coarse photos leave in doubt which period of the fine ones it sees",
     PixelStatus.TWO_PATHS: "sees the display by two light paths, and does not say which belong together",
     PixelStatus.HALF_SEEN: "an edge leaves less than half of its light: its centre sees nothing of the display",
+    PixelStatus.STANDS_ALONE: "its point lies on no surface with those about it: stray light, or parts of two paths",
 }
 
 StatusMap = npt.NDArray[np.uint8]

@@ -42,6 +42,7 @@ STATUS_COLOURS: dict[PixelStatus, str] = {
     PixelStatus.BAD_CODE: "#7f4f24",
     PixelStatus.TWO_PATHS: "#00b4d8",
     PixelStatus.HALF_SEEN: "#606c38",
+    PixelStatus.STANDS_ALONE: "#6d213c",
 }
 
 

@@ -59,9 +59,10 @@ class FusedSurface:
     """The fused surface: distance along each ray with its sd, point there, and what say each measurement kept.
 
     ``position_weight`` is 1 where the triangulated distance agrees with the surface and falls towards 0 for an outlier
-    (0 where there was none). ``normal_scale`` and ``position_scale`` tell how many times larger the residuals are than
-    the standard deviations promised (never below 1). ``distance_error_mm`` holds draws of the error of ``distance_mm``: what
-    independent draws of all measurements' noise do to it. Their mean square is the variance.
+    (0 where there was none); ``outlier`` marks pixels that agree with none about them. ``normal_scale`` and ``position_scale``
+    tell how many times larger the residuals are than the standard deviations promised (never below 1). ``distance_error_mm``
+    holds draws of the error of ``distance_mm``: what independent draws of all measurements' noise do to it. Their mean square is
+    the variance.
     """
 
     distance_mm: ScalarMap
@@ -69,6 +70,7 @@ class FusedSurface:
     distance_error_mm: Float64[np.ndarray, "draws rows cols"]
     point_mm: VectorMap
     position_weight: ScalarMap
+    outlier: Mask
     normal_scale: float
     position_scale: float
 
@@ -146,6 +148,8 @@ def fuse_on_rays(
         errors[:, used] = _errors(
             graph, rays, chords, last, noise or _independent(rays, graph), distance, scales, solver
         )
+    outlier = np.zeros(used.shape, dtype=bool)
+    outlier[used] = sheets.outlier
     point = np.full(origin_mm.shape, np.nan)
     point[used] = rays.origin + distance[:, None] * rays.direction
     return FusedSurface(
@@ -154,6 +158,7 @@ def fuse_on_rays(
         distance_error_mm=errors,
         point_mm=point,
         position_weight=graph.on_grid(positions.weight),
+        outlier=outlier,
         normal_scale=pairs.scale,
         position_scale=positions.scale,
     )

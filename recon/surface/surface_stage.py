@@ -91,10 +91,12 @@ def fused_surface(maps: Maps, crossing: Crossing, *, n_liquid: float, n_air: flo
     refined = refine_surface(
         fused, direction, normal, normal_sd_rad, on_grid(liquid.covariance_at(distance), surface_pixel)
     )
-    covered = np.isfinite(refined.point_mm).all(axis=2)
+    covered = np.isfinite(refined.point_mm).all(axis=2) & ~fused.outlier
+    for values in (refined.point_mm, refined.normal, refined.sd_mm, refined.normal_sd_rad, refined.across_sd_mm):
+        values[~covered] = np.nan
     status = np.where(covered, np.uint8(PixelStatus.OK), maps.status)
     lost = (status == PixelStatus.OK) & ~covered
-    status[lost] = PixelStatus.PARALLEL_PATHS
+    status[lost] = np.where(fused.outlier[lost], PixelStatus.STANDS_ALONE, PixelStatus.PARALLEL_PATHS)
     # What all pixels share does not go away by asking neighbours.
     carried_mm2, carried_rad2 = (
         on_grid(shared, surface_pixel) for shared in (crossing.carried_mm2, crossing.carried_rad2)
