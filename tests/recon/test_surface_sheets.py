@@ -50,6 +50,7 @@ def test_two_percent_of_outliers_neither_pull_nor_stay() -> None:
     # 576 distances and rigid normals: far below the sd of one distance.
     assert np.abs(fused.distance_mm - DISTANCE_MM).max() < SD_MM
     assert (fused.position_weight[wrong] < 1e-6).all()
+    np.testing.assert_array_equal(fused.outlier, wrong)
     assert np.abs(refined.point_mm[..., 2]).max() < SD_MM
 
 
