@@ -9,14 +9,15 @@ from dataclasses import dataclass
 
 import numpy as np
 from jaxtyping import Bool
+from scipy.ndimage import maximum_filter, minimum_filter
 
 from recon.surface.neighbours import Neighbours, components
 from recon.surface.ray_chords import Chords, PerPair, PerPixel, Rays
 
 # Gaussian noise contradicts itself by so many sd once in two million pairs.
 JUMP_SD = 5.0
-# Fewer pixels than fit a window of 3 × 3 cannot show that they are a surface.
-SMALLEST_SHEET_PX = 9
+# Pixels that fill no window of this size, such as a row along an edge, cannot show that they are a surface.
+SMALLEST_SHEET_PX = 3
 NORMAL_CONSISTENT_MAD = 1.4826
 
 
@@ -44,10 +45,21 @@ def sheets_of(chords: Chords, graph: Neighbours, rays: Rays) -> Sheets:
     typical = NORMAL_CONSISTENT_MAD * float(np.median(against[known])) if known.any() else 1.0
     apart = known & (against > JUMP_SD * max(1.0, typical))
     sheet = components(graph.pixels, graph.first[~apart], graph.second[~apart])
-    small = np.bincount(sheet)[sheet] < SMALLEST_SHEET_PX
+    small = ~_fills_window(sheet, graph)
     part = components(graph.pixels, graph.first, graph.second)
     outlier = small & (np.bincount(part, ~small)[part] > 0)
     return Sheets(jump=apart & ~outlier[graph.first] & ~outlier[graph.second], outlier=outlier)
+
+
+def _fills_window(sheet: np.ndarray, graph: Neighbours) -> Bool[np.ndarray, " pixels"]:
+    """Tell of each pixel whether the sheet that it is on fills a window somewhere."""
+    number = np.full(graph.mask.shape, -1)
+    number[graph.mask] = sheet
+    same = minimum_filter(number, SMALLEST_SHEET_PX, mode="constant", cval=-1) == maximum_filter(
+        number, SMALLEST_SHEET_PX, mode="constant", cval=-1
+    )
+    inside = number[same & graph.mask]
+    return np.bincount(inside, minlength=int(sheet.max(initial=-1)) + 1)[sheet] > 0
 
 
 def contradiction(chords: Chords, graph: Neighbours, rays: Rays, distance: PerPixel) -> PerPair:

@@ -39,8 +39,10 @@ def curve_half_width(
             flanks = [photo(n)[peak] for n in (middle - least - more, middle + least + more) if n in numbers]
             if not flanks:
                 return least + more
-            level = (np.mean(flanks, axis=0) - black[peak]) / height
-            if np.quantile(level, CURVES_SHARE) < LEVEL:
+            flank = np.mean(flanks, axis=0)
+            # What noise alone explains is no flank.
+            wider = (flank - black[peak] > LEVEL * height) & (flank > floor[peak])
+            if wider.mean() < 1 - CURVES_SHARE:
                 return least + more
         return least + LADDER[-1]
     return least

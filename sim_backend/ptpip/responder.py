@@ -99,8 +99,8 @@ class Responder:
                     self._body.close()
 
     def _attend_events(self, connection: socket.socket) -> None:
-        self._send(connection, packets.packet(PacketType.INIT_EVENT_ACK))
-        with self._lock:
+        with self._lock:  # what happens once the host knows that it listens must not go unheard
+            self._send(connection, packets.packet(PacketType.INIT_EVENT_ACK))
             self._events = connection
         while True:
             packets.read_packet(connection)  # a host may send pings; nothing of it needs an answer

@@ -65,6 +65,15 @@ def test_pixels_between_outliers_at_the_rim_keep_to_the_sheet_that_most_are_on()
     assert np.abs(fused.distance_mm - DISTANCE_MM)[2:, :][scene.mask[2:]].max() < 3 * SD_MM
 
 
+def test_a_row_along_the_rim_that_stands_against_all_others_is_no_sheet() -> None:
+    scene = plane(20)
+    scene.mask[0] = False
+    row = np.zeros(scene.mask.shape, bool)
+    row[1, 3:16] = True
+    fused, _, _ = surfaces(scene, np.where(row, 20.0, 0.0), seed=7)
+    np.testing.assert_array_equal(fused.outlier, row)
+
+
 def test_step_is_cut_where_both_sides_say_so() -> None:
     scene = plane(20)
     step = np.zeros(scene.mask.shape)
