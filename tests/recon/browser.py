@@ -23,7 +23,7 @@ OPTIONS = (
     "--no-first-run",
     "--hide-scrollbars",
     "--enable-logging=stderr",
-    "--virtual-time-budget=5000",
+    "--virtual-time-budget=15000",
 )
 NO_WEBGL = ("--disable-3d-apis",)
 SOFTWARE_WEBGL = ("--use-gl=angle", "--use-angle=swiftshader")
