@@ -14,6 +14,8 @@ from recon.sweeps.correspondence import SweepResult
 PATCH = np.ones((3, 3), dtype=bool)
 # What is larger than this share of the object is not a spot.
 LARGEST_SHARE = 0.05
+# A bubble is round, and seen through a lens oval; longer patches lie along edges of the object or rows of display pixels.
+LONGEST = 3.0
 
 Mask = Bool[np.ndarray, "rows cols"]
 
@@ -51,6 +53,21 @@ def wet_spots(
     spots = [
         WetSpot((rows.start + rows.stop - 1) // 2, (cols.start + cols.stop - 1) // 2, int(size[number]))
         for number, (rows, cols) in enumerate(find_objects(regions), start=1)
-        if size[number] <= largest
+        if size[number] <= largest and _elongation(regions[rows, cols] == number) <= LONGEST
     ]
     return tuple(sorted(spots, key=lambda spot: -spot.pixels))
+
+
+def _elongation(patch: Mask) -> float:
+    """Return the length over the width of a patch, by its second moments.
+
+    Examples
+    --------
+    >>> round(_elongation(np.ones((3, 12), dtype=bool)), 6)
+    4.0
+    """
+    place = np.argwhere(patch).astype(np.float64)
+    # A pixel is a square, whose own second moment is a twelfth.
+    moments = np.cov(place.T, bias=True) + np.eye(2) / 12
+    least, most = np.linalg.eigvalsh(moments)
+    return float(np.sqrt(most / least))

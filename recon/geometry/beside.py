@@ -12,7 +12,7 @@ from dataclasses import dataclass
 
 import numpy as np
 from jaxtyping import Bool, Float64
-from scipy.ndimage import label, uniform_filter
+from scipy.ndimage import label, median, uniform_filter
 
 from recon.geometry.entry_point import EntryPoints
 from recon.geometry.light_paths import LightPaths
@@ -99,11 +99,11 @@ def _in_level_regions(
     grid.ravel()[pixels[found]] = True
     regions, count = label(grid)
     of_pixel = regions.ravel()[pixels]
-    large = np.bincount(of_pixel[found], minlength=count + 1) > NEIGHBOURHOOD_PX**2
-    large[0] = False
-    about = large.copy()
-    for number in np.flatnonzero(large):
-        about[number] = abs(np.median(height_in_sd[found & (of_pixel == number)])) <= REGION_SIGMA
+    about = np.bincount(of_pixel[found], minlength=count + 1) > NEIGHBOURHOOD_PX**2
+    about[0] = False
+    numbers = np.flatnonzero(about)
+    if len(numbers):
+        about[numbers] = np.abs(median(height_in_sd[found], of_pixel[found], numbers)) <= REGION_SIGMA
     return about[of_pixel]
 
 

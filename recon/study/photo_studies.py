@@ -4,7 +4,7 @@ from pathlib import Path
 
 from recon.evaluation.table import KnownSize
 from recon.study.experiment import Findings, StudySize, Tell
-from recon.study.photographed import DRAWN, HARD, PIXELS_A_STRIPE, SMOOTH, Judge, comparison, judged_runs
+from recon.study.photographed import FINE, HARD, PIXELS_A_STRIPE, SMOOTH, Judge, comparison, judged_runs
 from recon.study.scenes import concave_cone
 
 CONCAVE_COLUMNS, TWIN_COLUMNS = 256, 320
@@ -19,11 +19,11 @@ def concave(folder: Path, size: StudySize, tell: Tell) -> Findings:
     for stripe, pixels_a_stripe, words in (
         ("hard", 1, HARD),
         ("smooth", 1, SMOOTH),
-        ("smooth, drawn finely", PIXELS_A_STRIPE, DRAWN),
+        ("fine", PIXELS_A_STRIPE, FINE),
     ):
         found = judged_runs(
             concave_cone(size=columns, pixels_a_stripe=pixels_a_stripe),
-            folder / f"concave-{stripe.replace(', ', '-').replace(' ', '-')}",
+            folder / f"concave-{stripe}",
             options=[*words, "--seed", str(size.seed)],
             judge=Judge(ring=CONCAVE_RING),
             tell=told_of(f"{stripe} stripe", tell),
@@ -32,8 +32,8 @@ def concave(folder: Path, size: StudySize, tell: Tell) -> Findings:
     setting = (
         f"{columns} × {columns} camera pixels, 1,024 stripes of 1/32 unit along each axis; apex on the axis 4 inside the "
         f"display-side face, judged at {CONCAVE_RING[0]:g} < r < {CONCAVE_RING[1]:g}. Photos with noise and JPEG. The "
-        f"display has a device pixel for each stripe; drawn finely, {PIXELS_A_STRIPE} for each: the published stripe was "
-        "rendered, and knows no device pixels."
+        f"display has a device pixel for each stripe; for the fine stripe, which is the smooth one drawn finely, it has "
+        f"{PIXELS_A_STRIPE}: the published stripe was rendered, and knows no device pixels."
     )
     return Findings(setting, tuple(tables))
 

@@ -18,7 +18,7 @@ METHODS: tuple[Method, Method] = ("paper", "full")
 SMOOTH = ("--profile", "raised_cosine", "--width-px", "6", "--step-px", "1")
 # The same stripes, drawn on a display with four device pixels to a stripe of the paper's.
 PIXELS_A_STRIPE = 4
-DRAWN = ("--profile", "raised_cosine", "--width-px", str(6 * PIXELS_A_STRIPE), "--step-px", str(PIXELS_A_STRIPE))
+FINE = ("--profile", "raised_cosine", "--width-px", str(6 * PIXELS_A_STRIPE), "--step-px", str(PIXELS_A_STRIPE))
 HARD = ("--profile", "hard", "--width-px", "1", "--step-px", "1")
 
 

@@ -77,6 +77,8 @@ def sweeps_with(bad: dict[str, np.ndarray]) -> dict[tuple[str, str], SweepResult
 def test_a_patch_that_is_bad_in_liquid_alone_is_a_spot_and_a_line_or_one_bad_in_air_is_not() -> None:
     patch, line, both = (np.zeros(SHAPE, bool) for _ in range(3))
     patch[10:14, 20:25] = True
+    # Along an edge of the object or a row of the display's pixels: wide enough for a patch, and far too long for a bubble.
+    line[34:38, 2:38] = True
     line[30, 3:35] = True
     both[20:24, 5:9] = True
     sweeps = sweeps_with({"pos1_liquid": patch | line | both, "pos0_air": both})
