@@ -21,9 +21,9 @@ from recon.sweeps.stripe_scan import FINE_PLACES_A_PX, SCAN_STEPS, best_places, 
 
 GAUSS_NEWTON_STEPS = 6
 LARGEST_STEP = 0.5  # of a step of the sweep, and of the logarithm of the width
-# A step of a twentieth of the standard deviation changes nothing that could be seen.
-SETTLED_SD = 0.05
-SETTLED_WIDTH_SD = 0.2
+# The last step is taken and not looked at again: Gauss–Newton leaves a small part of it, and all of it is within the noise.
+SETTLED_SD = 0.3
+SETTLED_WIDTH_SD = 0.5
 # Curves of narrower footprints have flat tops and sharp corners, on which curvature says nothing (device pixels).
 ANGULAR_HARD_PX = 0.3
 ANGULAR_STEPPED_PX = 0.6
@@ -71,6 +71,9 @@ def fit_stripe(
 ) -> StripeFit:
     """Fit the curve of every listed pixel, some thousands at a time so that memory stays small."""
     result = StripeFit(*(np.full(len(pixels), np.nan) for _ in StripeFit.__slots__))
+    # Curves of footprints thinner than the table's thinnest are all alike.
+    thinnest, widest = curves.table.log_width[[0, -1]]
+    prior = WidthPrior(prior.shape, np.clip(prior.log_width, thinnest, widest), prior.sd)
     for low in range(0, len(pixels), PIXELS_A_BLOCK):
         rows = slice(low, low + PIXELS_A_BLOCK)
         part = _fit_block(curves.samples(pixels[rows]), prior.some(rows), table=curves.table, noise=noise)
@@ -179,6 +182,8 @@ def _walk(
             continue
         for name in StripeFit.__slots__:
             getattr(fit, name)[moving[ended]] = getattr(best, name)[ended]
+        stepped = np.flatnonzero(settled)
+        fit.place_px[moving[stepped]], fit.log_width[moving[stepped]] = place[stepped], log_width[stepped]
         if len(ended) == len(place):
             break
         rest = np.flatnonzero(~settled)

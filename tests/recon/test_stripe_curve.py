@@ -13,7 +13,7 @@ from recon.sweeps.curve_lookup import looked_up
 from recon.sweeps.curve_samples import CurveSamples, SweepCurves
 from recon.sweeps.curve_table import curve_table
 from recon.sweeps.noise import NoiseModel, beside_peak_variance, dark_variance, noise_from_residuals
-from recon.sweeps.stripe_fit import StripeFit, fit_stripe
+from recon.sweeps.stripe_fit import StripeFit, WidthPrior, fit_stripe
 from recon.sweeps.stripe_model import footprint_average
 from recon.sweeps.stripe_peak import NO_PEAK, PeakTracker, PeakWindows, parabola_offset
 from recon.sweeps.width_prior import Footprints, known_prior
@@ -133,6 +133,21 @@ def test_errors_of_the_fit_are_those_it_states() -> None:
     # 4000 samples: the sd of an rms is 1/sqrt(8000), of a mean 1/sqrt(4000); four of them.
     assert 0.955 < np.sqrt((normalised**2).mean()) < 1.045
     assert abs(normalised.mean()) < 4 / np.sqrt(4000)
+
+
+def test_a_footprint_below_the_thinnest_curve_is_fitted_as_the_thinnest() -> None:
+    rng = np.random.default_rng(9)
+    windows, black = curves(rng.uniform(20, 40, 200), COSINE, rng, footprint_px=(0.01, 0.01))
+    table = curve_table(COSINE, half_width=windows.half_width, continuous=True)
+    sweep, pixels = SweepCurves(windows, table, black, 65534), np.arange(200, dtype=np.int64)
+
+    def fit(log_width: float) -> StripeFit:
+        prior = WidthPrior(np.zeros(200, dtype=np.int64), np.full(200, log_width), np.full(200, 0.2))
+        return fit_stripe(sweep, pixels, prior, noise=NoiseModel(16.0**2))
+
+    below, thinnest = fit(table.log_width[0] - 2.0), fit(table.log_width[0])
+    np.testing.assert_allclose(below.place_px, thinnest.place_px, atol=1e-12)
+    np.testing.assert_allclose(below.log_width, thinnest.log_width, atol=1e-12)
 
 
 def test_a_flat_top_is_centred_wherever_on_it_the_brightest_sample_lies() -> None:
