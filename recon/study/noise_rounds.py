@@ -88,7 +88,8 @@ class _Sums:
         errors, sds = (
             np.concatenate([getattr(one, name) for one in self.stated]).astype(np.float64) for name in (error, sd)
         )
-        return coverage_of(errors, sds)
+        numbers = np.repeat(np.arange(len(self.stated)), [len(one.point) for one in self.stated])
+        return coverage_of(errors, sds, numbers)
 
     def errors(self) -> MethodErrors:
         if not self.pixels:

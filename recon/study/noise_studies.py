@@ -5,12 +5,13 @@ from pathlib import Path
 
 import numpy as np
 
+from recon.study.coverage_tables import coverage_tables
 from recon.study.experiment import Findings, StudySize, Tell
 from recon.study.noise_rounds import METHODS, MethodErrors, noise_rounds
 from recon.study.noisy_sweeps import load_true_session
 from recon.study.scenes import DISPLAY_PIXELS, DISPLAY_UNITS, semi_ellipsoid
 from recon.study.simulator import Scene, simulated
-from recon.study.study_result import Cell, Curve, StudyFigure, StudyTable
+from recon.study.study_result import Curve, StudyFigure, StudyTable
 from recon.sweeps.correspondence import Method
 
 STEP_SIGMAS = tuple(round(0.1 * k, 1) for k in range(1, 11))
@@ -58,7 +59,7 @@ def _study(folder: Path, size: StudySize, scenes: Mapping[str, Scene], varied: s
         setting,
         (
             _table("Noise in stripe steps (1/32 unit)", varied, steps),
-            _coverage(varied, steps),
+            *coverage_tables(varied, steps),
             _table("Noise in scene units", varied, units, "32 stripe steps a unit: the paths hardly meet any more."),
         ),
         (
@@ -93,25 +94,6 @@ def _table(title: str, varied: str, errors: Mapping[tuple[str, float], Errors], 
         for (label, sigma), each in errors.items()
     )
     return StudyTable(title=title, headings=headings, rows=rows, note=note)
-
-
-def _coverage(varied: str, errors: Mapping[tuple[str, float], Errors]) -> StudyTable:
-    """Return how often the 95 % intervals of method ``full`` hold, in all and in each tenth by standard deviation."""
-    rows: list[tuple[Cell, ...]] = []
-    for (label, sigma), each in errors.items():
-        for quantity, coverage in (("points", each["full"].point_coverage), ("normals", each["full"].normal_coverage)):
-            if coverage is not None:
-                tenths = [100 * share for share in coverage.by_decile]
-                listed = " ".join(f"{share:.0f}" for share in tenths)
-                rows.append(
-                    (label, sigma, quantity, 100 * coverage.whole, float(min(tenths)), float(max(tenths)), listed)
-                )
-    return StudyTable(
-        title="95 % intervals of method full that hold the truth (%)",
-        headings=(varied, "σ", "of", "all", "least tenth", "most", "tenths, the surest first"),
-        rows=tuple(rows),
-        note="Tenths of the pixels by their stated standard deviation, over all rounds together.",
-    )
 
 
 def _figure(title: str, y_label: str, errors: Mapping[tuple[str, float], Errors], quantity: str) -> StudyFigure:

@@ -10,7 +10,7 @@ from typer.testing import CliRunner
 
 from recon.cli import app
 from recon.errors import ReconError
-from recon.evaluation.coverage import coverage_of
+from recon.evaluation.coverage import Share, coverage_of
 from recon.study.noise_rounds import noise_rounds
 from recon.study.noisy_sweeps import load_true_session, noisy_sweeps
 from recon.study.scenes import semi_ellipsoid
@@ -54,19 +54,39 @@ def test_coverage_of_errors_as_large_as_stated_is_95_percent_in_every_tenth() ->
     rng = np.random.default_rng(4)
     sd = rng.uniform(0.1, 3.0, 40_000)
     error = np.linalg.norm(rng.standard_normal((len(sd), 2)), axis=1) * sd / np.sqrt(2)
-    found = coverage_of(error, sd)
+    number = np.arange(len(sd)) % 20
+    found = coverage_of(error, sd, number)
     # Binomial: 0.11 % for all, 0.34 % for a tenth; 4 sigma.
-    assert found.whole == pytest.approx(0.95, abs=0.0044)
-    assert found.by_decile == pytest.approx([0.95] * 10, abs=0.0138)
+    assert found.whole.value == pytest.approx(0.95, abs=0.0044)
+    assert [share.value for share in found.by_decile] == pytest.approx([0.95] * 10, abs=0.0138)
     # Stated half as large as they are, the intervals hold 1 − 0.05^(1/4) of them.
-    assert coverage_of(error, sd / 2).whole == pytest.approx(1 - 0.05**0.25, abs=4 * 0.5 / np.sqrt(len(sd)))
+    half = coverage_of(error, sd / 2, number).whole.value
+    assert half == pytest.approx(1 - 0.05**0.25, abs=4 * 0.5 / np.sqrt(len(sd)))
+
+
+def test_what_pixels_of_a_round_share_widens_the_sampling_of_a_coverage() -> None:
+    rng = np.random.default_rng(5)
+    number = np.repeat(np.arange(400), 100)
+    pixels = np.linalg.norm(rng.standard_normal((len(number), 2)), axis=1)
+    shared = np.linalg.norm(rng.standard_normal((400, 2)), axis=1)[number]
+    sd = np.full(len(number), np.sqrt(2))
+    # Binomial with as many independent errors as there are; the sd of 400 rounds is known to 1/√800, kurtosis doubles that.
+    for error, independent in ((pixels, len(number)), (shared, 400)):
+        assert coverage_of(error, sd, number).whole.sd == pytest.approx(np.sqrt(0.95 * 0.05 / independent), rel=0.3)
+    assert np.isnan(coverage_of(shared, sd, np.zeros_like(number)).whole.sd)
+
+
+def test_a_coverage_misses_clearly_only_beyond_its_sampling() -> None:
+    low, high = Share(0.92, 0.004), Share(0.978, 0.005)
+    assert [share.outside(0.93, 0.97) for share in (low, high, Share(0.96, 0.0))] == [True, True, False]
+    assert [share.clearly_outside(0.93, 0.97, sampling_sds=2.0) for share in (low, high)] == [True, False]
 
 
 def test_intervals_of_the_full_method_are_told_and_the_paper_has_none(session_folder: Path) -> None:
     errors = noise_rounds(load_true_session(session_folder), sd_px=0.2, rounds=1, rng=np.random.default_rng(6))
     assert errors["paper"].point_coverage is None
     told = errors["full"].point_coverage, errors["full"].normal_coverage
-    assert all(one is not None and 0.9 < one.whole < 0.99 for one in told)
+    assert all(one is not None and 0.9 < one.whole.value < 0.99 for one in told)
 
 
 def test_the_critical_radius_is_that_of_a_ray_along_the_axis_for_a_camera_far_away() -> None:
