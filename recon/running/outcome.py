@@ -74,7 +74,8 @@ def reconstruct(
     if manifest.method == "thin":
         thin = thin_object(sweeps, manifest, method=settings.method, inside_mask=mask, integration=settings.integration)
         maps = _with_path_count(thin.maps, sweeps, settings)
-        return Outcome(maps, thin.mesh, None, _statistics(maps, None), thin.warnings)
+        mesh, doubt = drawn_mesh(thin.mesh)
+        return Outcome(maps, mesh, None, _statistics(maps, None), (*thin.warnings, *doubt))
     stated = stated_index(manifest)
     manifest = provisional(manifest)
     registration, manifest = _register(session, manifest, sweeps, settings, mask, known)
@@ -101,15 +102,25 @@ def reconstruct(
         ratio = gap_ratio(crossing.points.gap_mm[crossed], crossing.points.gap_sd_mm[crossed])
         doubts = assumption_doubts(sweeps, crossing, surface.maps)
     told = registration.sentences(manifest.length_unit) if registration is not None else ()
+    mesh, doubt = drawn_mesh(surface.mesh)
     return Outcome(
         surface.maps,
-        surface.mesh,
+        mesh,
         ratio,
         _statistics(surface.maps, crossing),
-        (*told, *index_sentences(index), *_warnings(manifest), *surface.warnings),
+        (*told, *index_sentences(index), *_warnings(manifest), *surface.warnings, *doubt),
         record_of(registration) if registration is not None else None,
         index,
         doubts,
+    )
+
+
+def drawn_mesh(mesh: Mesh | None) -> tuple[Mesh | None, tuple[str, ...]]:
+    """Return the mesh, or None with a sentence where no three neighbouring pixels make a triangle of it."""
+    if mesh is None or len(mesh.faces):
+        return mesh, ()
+    return None, (
+        "No three neighbouring pixels have points, so there is no mesh; the status map shows what was left out.",
     )
 
 

@@ -8,6 +8,7 @@ import pyvista
 import trimesh
 
 from recon.errors import ReconError
+from recon.running.outcome import drawn_mesh
 from recon.surface.files import CHUNK, write_cloud_ply, write_mesh_glb, write_mesh_ply
 from recon.surface.mesh import Mesh
 
@@ -88,3 +89,11 @@ def test_mesh_without_faces_is_refused_as_glb(tmp_path: Path) -> None:
     none = Mesh(np.zeros((0, 3)), np.zeros((0, 3), np.int32), np.zeros((0, 3)))
     with pytest.raises(ReconError, match="no triangle"):
         write_mesh_glb(tmp_path / "mesh.glb", none)
+
+
+def test_a_mesh_without_faces_is_left_out_with_a_sentence_and_one_with_faces_is_kept() -> None:
+    mesh, (sentence,) = drawn_mesh(Mesh(np.zeros((1, 3)), np.zeros((0, 3), np.int32), np.zeros((1, 3))))
+    assert mesh is None
+    assert "no mesh" in sentence
+    whole = tetrahedron()
+    assert drawn_mesh(whole) == (whole, ())
