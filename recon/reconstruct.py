@@ -4,7 +4,7 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 
 import numpy as np
-from jaxtyping import Bool, Float64, UInt8
+from jaxtyping import Float64, Int64, UInt8
 
 from recon.geometry.beside import liquid_surface
 from recon.geometry.entry_point import EntryPoints, entry_points
@@ -69,17 +69,22 @@ def cross_paths(
     inside_mask: np.ndarray | None = None,
 ) -> tuple[UInt8[np.ndarray, " pixels"], Crossing]:
     """Cross the paths in liquid and in air of every matched pixel; return the status of all pixels and the crossings."""
-    by_name = {one.name: correspondences(sweeps, one, manifest) for one in manifest.sets}
-    status = combined_status(list(by_name.values()))
+    status = combined_status(sweeps, manifest.sets)
     if inside_mask is not None:
         status[~inside_mask.ravel() & (status != PixelStatus.UNLIT)] = PixelStatus.MASKED_OUT
     twice = np.flatnonzero(status == PixelStatus.TWO_PATHS)
-    if len(twice):
-        lesser = {one.name: second_correspondences(sweeps, one, manifest) for one in manifest.sets}
-        by_name, paired = _paired(by_name, lesser, twice, manifest, method=method, limits=limits)
-        status[twice[paired]] = PixelStatus.OK
+    choice = _choices(sweeps, twice, manifest, method=method, limits=limits)
+    status[twice[choice >= 0]] = PixelStatus.OK
     pixels = np.flatnonzero(status == PixelStatus.OK)
-    paths, points = _crossed(by_name, pixels, manifest, method=method)
+    by_name = {}
+    for one in manifest.sets:
+        found = correspondences(sweeps, one, manifest, pixels)
+        by_lesser = twice[np.isin(choice, [k for k, media in enumerate(CHOICES) if one.condition in media])]
+        if len(by_lesser):
+            lesser = second_correspondences(sweeps, one, manifest, by_lesser)
+            found = found.with_rows_of(lesser, np.searchsorted(pixels, by_lesser))
+        by_name[one.name] = found
+    paths, points = _crossed(by_name, manifest, method=method)
     route = normals_from_angles if method == "paper" else normals_from_paths
     media = {"n_liquid": manifest.n_liquid(), "n_air": manifest.n_air}
     normal = route(paths["liquid"].direction, paths["air"].direction, **media)
@@ -109,47 +114,40 @@ def cross_paths(
     return status, crossing
 
 
-def _paired(
-    by_name: Mapping[str, Correspondences],
-    lesser: Mapping[str, Correspondences],
-    twice: np.ndarray,
-    manifest: Manifest,
-    *,
-    method: Method,
-    limits: Limits,
-) -> tuple[dict[str, Correspondences], Bool[np.ndarray, " twice"]]:
-    """Choose for each pixel in ``twice`` which of its paths in liquid and in air belong together, and tell where that is known.
+def _choices(
+    sweeps: SweepResults, twice: np.ndarray, manifest: Manifest, *, method: Method, limits: Limits
+) -> Int64[np.ndarray, " twice"]:
+    """Return for each pixel in ``twice`` which of ``CHOICES`` says what paths in liquid and air belong together; −1: not known.
 
     The paths with more light do if they meet as well as their noise lets them; where they do not, the one other pair that does.
     """
-    met = []
+    if not len(twice):
+        return np.empty(0, dtype=np.int64)
+    first, lesser = (
+        {one.name: joined(sweeps, one, manifest, twice) for one in manifest.sets}
+        for joined in (correspondences, second_correspondences)
+    )
     doubled = {
-        condition: np.any(
-            [by_name[one.name].doubled()[twice] for one in manifest.sets if one.condition == condition], axis=0
-        )
+        condition: np.any([first[one.name].doubled for one in manifest.sets if one.condition == condition], axis=0)
         for condition in ("air", "liquid")
     }
+    met = []
     for choice in CHOICES:
-        chosen = {one.name: (lesser if one.condition in choice else by_name)[one.name] for one in manifest.sets}
-        _, points = _crossed(chosen, twice, manifest, method=method)
+        chosen = {one.name: (lesser if one.condition in choice else first)[one.name] for one in manifest.sets}
+        _, points = _crossed(chosen, manifest, method=method)
         tests = _tests(points, manifest, method=method, limits=limits)
         meets = (tests == PixelStatus.OK) | ((tests == PixelStatus.PARALLEL_PATHS) & (not choice))
         met.append(np.logical_and.reduce([meets, *(doubled[condition] for condition in choice)]))
     found = np.stack(met)
-    only = np.where(found[0], 0, np.where(found[1:].sum(axis=0) == 1, 1 + found[1:].argmax(axis=0), -1))
-    result = {}
-    for one in manifest.sets:
-        by_lesser = np.isin(only, [k for k, choice in enumerate(CHOICES) if one.condition in choice])
-        result[one.name] = by_name[one.name].with_places_of(lesser[one.name], twice[by_lesser])
-    return result, only >= 0
+    return np.where(found[0], 0, np.where(found[1:].sum(axis=0) == 1, 1 + found[1:].argmax(axis=0), -1))
 
 
 def _crossed(
-    by_name: Mapping[str, Correspondences], pixels: np.ndarray, manifest: Manifest, *, method: Method
+    by_name: Mapping[str, Correspondences], manifest: Manifest, *, method: Method
 ) -> tuple[dict[str, LightPaths], EntryPoints]:
-    """Make the paths in liquid and in air of these pixels, and cross them."""
+    """Make the paths in liquid and in air, and cross them."""
     paths = {
-        condition: _paths(by_name, manifest, condition, pixels, n_medium=n, method=method)
+        condition: _paths(by_name, manifest, condition, n_medium=n, method=method)
         for condition, n in (("liquid", manifest.n_liquid()), ("air", manifest.n_air))
     }
     return paths, entry_points(paths["liquid"], paths["air"], weighted=method == "full")
@@ -159,7 +157,6 @@ def _paths(
     by_name: Mapping[str, Correspondences],
     manifest: Manifest,
     condition: str,
-    pixels: np.ndarray,
     *,
     n_medium: float,
     method: Method,
@@ -167,10 +164,10 @@ def _paths(
     first, second = (by_name[f"pos{position}_{condition}"] for position in (0, 1))
     sets = [manifest.set_named(f"pos{position}_{condition}") for position in (0, 1)]
     # The paper's method knows no uncertainty; equal ones make its crossing the plain middle.
-    unknown = np.zeros((len(pixels), 2))
+    unknown = np.zeros_like(first.sd_mm)
     return light_paths(
-        (first.screen_mm[pixels], second.screen_mm[pixels]),
-        (unknown, unknown) if method == "paper" else (first.sd_mm[pixels], second.sd_mm[pixels]),
+        (first.screen_mm, second.screen_mm),
+        (unknown, unknown) if method == "paper" else (first.sd_mm, second.sd_mm),
         (manifest.pose_of(sets[0]), manifest.pose_of(sets[1])),
         cover_glass=manifest.display.cover_glass,
         n_medium=n_medium,

@@ -78,16 +78,19 @@ def bent_pixels(
     shape = (camera.rows, camera.columns)
     assert camera.pose is not None, "straight rays are those towards a camera whose place is known"
     sets = [manifest.set_named(name) for name in DRY_SETS]
-    found = [correspondences(sweeps, one, manifest) for one in sets]
-    seen_dry = combined_status(found) == PixelStatus.OK
-    for places, one in zip(found, sets, strict=True):
-        seen_dry &= _within_sweeps(places, one, manifest)
+    seen_dry = combined_status(sweeps, sets) == PixelStatus.OK
     pixels = np.flatnonzero(seen_dry)
+    inside = np.logical_and.reduce(
+        [_within_sweeps(correspondences(sweeps, one, manifest, pixels), one, manifest) for one in sets]
+    )
+    seen_dry[pixels] = inside
+    pixels = pixels[inside]
     bent = np.zeros(shape, dtype=bool)
     if len(pixels):
+        found = [correspondences(sweeps, one, manifest, pixels) for one in sets]
         paths = light_paths(
-            (found[0].screen_mm[pixels], found[1].screen_mm[pixels]),
-            (_sd_mm(found[0], sets[0], manifest)[pixels], _sd_mm(found[1], sets[1], manifest)[pixels]),
+            (found[0].screen_mm, found[1].screen_mm),
+            (_sd_mm(found[0], sets[0], manifest), _sd_mm(found[1], sets[1], manifest)),
             (manifest.pose_of(sets[0]), manifest.pose_of(sets[1])),
             cover_glass=manifest.display.cover_glass,
             n_medium=manifest.n_air,
@@ -96,9 +99,11 @@ def bent_pixels(
         centre_mm = np.array(camera.pose.centre_mm)
         bent.ravel()[pixels[~straight_paths(paths, centre_mm, sd_rad, pixels=pixels, shape=shape)]] = True
     within = filled(closed(bent, margin_px))
-    wet = [correspondences(sweeps, one, manifest) for one in manifest.sets if one.condition == "liquid"]
-    only_wet = np.any([(one.status == PixelStatus.OK).all(axis=1) for one in wet], axis=0) & ~seen_dry
-    regions, _ = label(closed(within | only_wet.reshape(shape), margin_px))
+    wet = [one for one in manifest.sets if one.condition == "liquid"]
+    only_wet = np.any(
+        [np.all([sweeps[one.name, axis].status == PixelStatus.OK for axis in AXES], axis=0) for one in wet], axis=0
+    )
+    regions, _ = label(closed(within | (only_wet & ~seen_dry.reshape(shape)), margin_px))
     # At the edges of what was swept, away from the object, pixels see the display in one medium only as well.
     of_object = np.isin(regions, np.unique(regions[within])) & (regions > 0)
     return cv2.dilate(of_object.astype(np.uint8), _disk(margin_px)).astype(bool)

@@ -37,15 +37,15 @@ def registration_of(
 
     Pixels beside the object take part: where they look through the liquid's flat surface their two paths meet there.
     """
-    by_name = {one.name: correspondences(sweeps, one, manifest) for one in manifest.sets}
-    matched = combined_status(list(by_name.values())) == PixelStatus.OK
+    matched = combined_status(sweeps, manifest.sets) == PixelStatus.OK
     if inside_mask is not None:
         matched &= inside_mask.ravel()
     pixels = np.flatnonzero(matched)
+    by_name = {one.name: correspondences(sweeps, one, manifest, pixels) for one in manifest.sets}
     places = MeasuredPlaces(
         pixels,
-        {name: one.screen_mm[pixels] for name, one in by_name.items()},
-        {name: one.sd_mm[pixels] for name, one in by_name.items()},
+        {name: one.screen_mm for name, one in by_name.items()},
+        {name: one.sd_mm for name, one in by_name.items()},
     )
     return register(places, manifest, known=known)
 

@@ -22,7 +22,7 @@ from recon.surface.files import CLOUD_NAME, GLB_NAME, MESH_NAME, read_mesh_ply
 from recon.sweeps.correspondence import SweepResult
 
 STAGE = "surface"
-ARRAYS = ("place_px", "sd_px", "status")
+ARRAYS = ("place_px", "sd_px", "status", "second_px", "second_sd_px")
 # All but the arrays, which have files of their own.
 ADAPTERS = {name: TypeAdapter(kind) for name, kind in get_type_hints(Outcome).items() if name not in ("maps", "mesh")}
 
@@ -55,8 +55,9 @@ def outcome_key(
 
 def _hash_of(sweep: SweepResult) -> str:
     digest = hashlib.sha256(repr((sweep.noise, sweep.misfit)).encode())
-    for name in ARRAYS:
-        digest.update(np.ascontiguousarray(getattr(sweep, name)).data)
+    for array in (getattr(sweep, name) for name in ARRAYS):
+        if array is not None:
+            digest.update(np.ascontiguousarray(array).data)
     return digest.hexdigest()
 
 

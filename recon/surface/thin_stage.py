@@ -31,7 +31,7 @@ from recon.status import PixelStatus
 from recon.surface.mesh import Mesh, mesh_from_point_map
 from recon.surface.thin_surface import NOTES, USUAL_FORM, ThinForm, thin_surface_points
 from recon.sweeps.correspondence import Method, SweepResult
-from recon.sweeps.set_places import Correspondences, combined_status, correspondences
+from recon.sweeps.set_places import SweepResults, combined_status, correspondences
 
 NEIGHBOURHOOD_PX = 7
 # With the object away and in place, a pixel beside it sees the same display pixel to within this.
@@ -77,22 +77,23 @@ def thin_object(
     form = integration or USUAL_FORM[method]
     n_object = manifest.object.n
     assert n_object is not None, "the manifest's own check grants the object's index to this method"
-    by_name = {one.name: correspondences(sweeps, one, manifest) for one in manifest.sets}
     shape = (manifest.camera.rows, manifest.camera.columns)
-    status = combined_status(list(by_name.values()))
+    status = combined_status(sweeps, manifest.sets)
     # Two light paths of a thin object bend alike, so that no test tells them apart: the one with more light counts.
     status[status == PixelStatus.TWO_PATHS] = PixelStatus.OK
     if inside_mask is not None:
         status[~inside_mask.ravel() & (status != PixelStatus.UNLIT)] = PixelStatus.MASKED_OUT
     sight = _sight(manifest) if manifest.visual_rays_from_camera else None
+    matched = np.flatnonzero(status == PixelStatus.OK)
     if sight is None:
-        status[_beside(by_name, status, manifest, shape=shape)] = PixelStatus.BESIDE_OBJECT
+        beside = _beside(sweeps, matched, manifest, shape=shape)
     else:
-        status[_unbent(by_name, status, manifest, sight[0], method=method, shape=shape)] = PixelStatus.BESIDE_OBJECT
+        beside = _unbent(sweeps, matched, manifest, sight[0], method=method, shape=shape)
+    status[beside] = PixelStatus.BESIDE_OBJECT
     pixels = np.flatnonzero(status == PixelStatus.OK)
-    contact = _paths(by_name, manifest, "with", pixels, method=method)
+    contact = _paths(sweeps, manifest, "with", pixels, method=method)
     if sight is None:
-        visual = _paths(by_name, manifest, "without", pixels, method=method)
+        visual = _paths(sweeps, manifest, "without", pixels, method=method)
     else:
         visual = camera_rays(sight[0], sight[1].reshape(-1, 3)[pixels], _poses(manifest, "with"))
     face = manifest.object.flat_face if method == "full" else None
@@ -151,7 +152,7 @@ def _poses(manifest: Manifest, condition: str) -> tuple[Pose, Pose]:
 
 
 def _paths(
-    by_name: Mapping[str, Correspondences],
+    sweeps: SweepResults,
     manifest: Manifest,
     condition: str,
     pixels: np.ndarray,
@@ -159,11 +160,11 @@ def _paths(
     method: Method,
 ) -> LightPaths:
     sets = [manifest.set_named(f"pos{position}_{condition}") for position in (0, 1)]
-    found = [by_name[one.name] for one in sets]
+    found = [correspondences(sweeps, one, manifest, pixels) for one in sets]
     nominal = np.full((len(pixels), 2), NOMINAL_SD_PX * manifest.display.pitch_mm)
-    sd = [nominal if method == "paper" else one.sd_mm[pixels] for one in found]
+    sd = [nominal if method == "paper" else one.sd_mm for one in found]
     return light_paths(
-        (found[0].screen_mm[pixels], found[1].screen_mm[pixels]),
+        (found[0].screen_mm, found[1].screen_mm),
         (sd[0], sd[1]),
         _poses(manifest, condition),
         cover_glass=manifest.display.cover_glass,
@@ -172,8 +173,8 @@ def _paths(
 
 
 def _unbent(
-    by_name: Mapping[str, Correspondences],
-    status: np.ndarray,
+    sweeps: SweepResults,
+    pixels: np.ndarray,
     manifest: Manifest,
     camera_mm: np.ndarray,
     *,
@@ -181,29 +182,31 @@ def _unbent(
     shape: tuple[int, int],
 ) -> np.ndarray:
     """Return the pixels whose light runs straight to the camera, in regions that reach the photo's border."""
-    pixels = np.flatnonzero(status == PixelStatus.OK)
-    contact = _paths(by_name, manifest, "with", pixels, method=method)
+    contact = _paths(sweeps, manifest, "with", pixels, method=method)
     sd_rad = np.sqrt(np.trace(contact.direction_covariance(), axis1=1, axis2=2))
-    straight = np.zeros(status.size, dtype=bool)
+    straight = np.zeros(shape[0] * shape[1], dtype=bool)
     straight[pixels] = straight_paths(contact, camera_mm, sd_rad, pixels=pixels, shape=shape)
     return _reaching_the_border(straight.reshape(shape))
 
 
 def _beside(
-    by_name: Mapping[str, Correspondences],
-    status: np.ndarray,
+    sweeps: SweepResults,
+    matched: np.ndarray,
     manifest: Manifest,
     *,
     shape: tuple[int, int],
 ) -> np.ndarray:
     """Return the pixels for which the object changes nothing, in regions that reach the photo's border."""
-    matched = status == PixelStatus.OK
-    unmoved = matched.copy()
+    unmoved = np.zeros(shape[0] * shape[1], dtype=bool)
+    unmoved[matched] = True
     for position in (0, 1):
-        change = by_name[f"pos{position}_with"].screen_mm - by_name[f"pos{position}_without"].screen_mm
+        there, gone = (
+            correspondences(sweeps, manifest.set_named(f"pos{position}_{condition}"), manifest, matched).screen_mm
+            for condition in ("with", "without")
+        )
         total = np.zeros((*shape, 3))
         total.reshape(-1, 3)[matched] = np.concatenate(
-            [change[matched] / manifest.display.pitch_mm, np.ones((int(matched.sum()), 1))], axis=1
+            [(there - gone) / manifest.display.pitch_mm, np.ones((len(matched), 1))], axis=1
         )
         window = (NEIGHBOURHOOD_PX, NEIGHBOURHOOD_PX)
         total = cv2.boxFilter(total, cv2.CV_64F, window, normalize=False, borderType=cv2.BORDER_CONSTANT)

@@ -5,7 +5,7 @@ from dataclasses import dataclass
 from typing import Literal
 
 import numpy as np
-from jaxtyping import Bool, Float32, Float64, UInt8
+from jaxtyping import Bool, Float, Float32, UInt8
 
 from recon.metrics import PhotoQuality, SampleCurve
 from recon.sessions.manifest import Axis, CaptureSet, StripePattern
@@ -33,19 +33,23 @@ PIXELS_AT_ONCE = 1 << 15
 class SweepResult:
     """Where each pixel saw the stripe: ``place_px`` in device pixels with ``sd_px``, NaN unless ``known``.
 
-    A pixel of status TWO_PATHS saw it twice: ``place_px`` is that of the path with more light, ``second_px`` with
-    ``second_sd_px`` that of the other, NaN for all other pixels; None where no pixel did, or the method tells no two paths apart.
+    Single precision, which decoded sweeps have, rounds a place on a display of 4,096 pixels to 0.0001 px, far below its sd; eight
+    sweeps of a large photo are kept at a time.
+
+    A pixel of status TWO_PATHS saw the stripe twice: ``place_px`` is that of the path with more light. ``second_px`` with
+    ``second_sd_px`` lists those of the other, one for each such pixel, row by row; None where no pixel did, or the method tells
+    no two paths apart.
     """
 
-    place_px: Float64[np.ndarray, "rows cols"]
+    place_px: Float[np.ndarray, "rows cols"]
     sd_px: Float32[np.ndarray, "rows cols"]
     status: UInt8[np.ndarray, "rows cols"]
     noise: NoiseModel
     misfit: float  # median of chi-square over degrees of freedom; NaN for the paper's method
     photos: tuple[PhotoQuality, ...]
     curves: tuple[SampleCurve, ...]
-    second_px: Float64[np.ndarray, "rows cols"] | None = None
-    second_sd_px: Float32[np.ndarray, "rows cols"] | None = None
+    second_px: Float[np.ndarray, " two"] | None = None
+    second_sd_px: Float32[np.ndarray, " two"] | None = None
 
     def known(self) -> Bool[np.ndarray, "rows cols"]:
         """Return the pixels that have a place: those that saw the stripe once, twice, or with less than half of their area."""
@@ -189,7 +193,7 @@ def place_by_parabola(
 ) -> SweepResult:
     """Return the vertex of the parabola through each pixel's three brightest samples, as the paper does."""
     status = _status(windows, black.shape)
-    place = np.full(black.size, np.nan)
+    place = np.full(black.size, np.nan, dtype=np.float32)
     middle = windows.half_width
     for low in range(0, black.size, PIXELS_AT_ONCE):
         part = low + np.flatnonzero(status.ravel()[low : low + PIXELS_AT_ONCE] == PixelStatus.OK)
@@ -235,8 +239,7 @@ def place_by_likelihood(
     if kept.any():
         twice = places.twice[kept]
         status.ravel()[twice] = PixelStatus.TWO_PATHS
-        second_px, second_sd_px = np.full(black.shape, np.nan), np.full(black.shape, np.nan, dtype=np.float32)
-        second_px.ravel()[twice], second_sd_px.ravel()[twice] = places.second_px[kept], places.second_sd_px[kept]
+        second_px, second_sd_px = places.second_px[kept], places.second_sd_px[kept].astype(np.float32)
     status[half] = PixelStatus.HALF_SEEN
     return SweepResult(
         place_px=places.place_px,

@@ -2,7 +2,7 @@
 
 import cv2
 import numpy as np
-from jaxtyping import Float64, UInt8
+from jaxtyping import Float, Float64, UInt8
 
 from recon.metrics import DoubtfulRange
 from recon.sessions.pattern import GrayLinePattern, Pattern, StripePattern
@@ -44,7 +44,7 @@ def doubtful_ranges(
 
 
 def _places_nearby(
-    place_px: Float64[np.ndarray, "rows cols"], status: UInt8[np.ndarray, "rows cols"]
+    place_px: Float[np.ndarray, "rows cols"], status: UInt8[np.ndarray, "rows cols"]
 ) -> Float64[np.ndarray, " doubtful"]:
     """Return the place of the nearest pixel that has one, for each doubtful pixel that has such a neighbour."""
     fine = status == PixelStatus.OK

@@ -34,7 +34,7 @@ class LikelihoodPlaces:
     the fitted amplitude, and ``misfit`` the median of chi-square over degrees of freedom, of all curves.
     """
 
-    place_px: Float64[np.ndarray, "rows cols"]
+    place_px: Float32[np.ndarray, "rows cols"]
     sd_px: Float32[np.ndarray, "rows cols"]
     twice: Int64[np.ndarray, " twice"]
     second_px: Float64[np.ndarray, " twice"]
@@ -75,8 +75,9 @@ def places_by_likelihood(
     table = curve_table(pattern, half_width=windows.half_width, continuous=continuous)
     curves = SweepCurves(windows, table, black.ravel(), clipped)
     fits = prepared_fits(curves, pixels, grid=black.shape, dark_variance=dark_variance)
-    place_px = np.full(black.shape, np.nan)
-    sd_px, light, chi_square, freedom, width_px = (np.full(black.shape, np.nan, dtype=np.float32) for _ in range(5))
+    place_px, sd_px, light, chi_square, freedom, width_px = (
+        np.full(black.shape, np.nan, dtype=np.float32) for _ in range(6)
+    )
     unresolved = np.zeros(black.shape, dtype=np.float32)
     twice, second_px, second_sd_px, second_width_px = [pixels[:0]], [np.empty(0)], [np.empty(0)], [np.empty(0)]
     for low in range(0, len(pixels), PIXELS_AT_ONCE):

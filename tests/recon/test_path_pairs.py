@@ -34,8 +34,8 @@ def seen_twice(sweeps: Sweeps, *, astray_first: tuple[str, ...], astray_second: 
             result[f"{position}_air", axis] = replace(
                 sweep,
                 place_px=away if position in astray_first else sweep.place_px,
-                second_px=np.where(lit, away if position in astray_second else sweep.place_px, np.nan),
-                second_sd_px=sweep.sd_px,
+                second_px=(away if position in astray_second else sweep.place_px)[lit],
+                second_sd_px=sweep.sd_px[lit],
                 status=np.where(lit, PixelStatus.TWO_PATHS, sweep.status).astype(np.uint8),
             )
     return result
