@@ -7,6 +7,7 @@ from typing import Literal
 import numpy as np
 from jaxtyping import Bool, Float, Float32, UInt8
 
+from recon.memory import give_back_free_memory
 from recon.metrics import PhotoQuality, SampleCurve
 from recon.sessions.manifest import Axis, CaptureSet, StripePattern
 from recon.sessions.photos import Counts, read_grey, saturation_count
@@ -84,6 +85,7 @@ def decode_sweep(
     photos = _stream(session, capture_set, axis, tracker, clipped=saturation_count(black), on_photo=on_photo)
     windows = tracker.finish()
     del tracker
+    give_back_free_memory()
     clipped = saturation_count(black)
     if method == "paper":
         return place_by_parabola(windows, pattern, black=black, dark=dark, photos=photos)
@@ -225,7 +227,7 @@ def place_by_likelihood(
     status = _status(windows, black.shape)
     places = places_by_likelihood(
         windows,
-        np.flatnonzero(status == PixelStatus.OK),
+        np.flatnonzero(status == PixelStatus.OK).astype(np.int32),
         pattern,
         black=black,
         dark_variance=dark,

@@ -18,6 +18,7 @@ from pathlib import Path
 import numpy as np
 
 from recon.calibration.response_record import RESPONSE_NAME
+from recon.memory import give_back_free_memory
 from recon.metrics import PhotoQuality, SampleCurve
 from recon.program import program_hash
 from recon.sessions.disk import PART_SUFFIX, Disk, make_folders
@@ -147,6 +148,7 @@ def stored_or_decoded(
         on_kept(f"{capture_set.name}/{axis}")
         return found
     result = decode_pattern(session, capture_set, axis, method=method, on_photo=on_photo)
+    give_back_free_memory()
     try:
         save_stored(session, capture_set, axis, result, method=method)
     except OSError as error:  # a session on a medium that cannot be written, or that is full

@@ -3,7 +3,7 @@
 from dataclasses import dataclass
 
 import numpy as np
-from jaxtyping import Bool, Float32, Float64, Int64
+from jaxtyping import Bool, Float32, Float64, Int, Int64
 
 from recon.sessions.manifest import StripePattern
 from recon.sweeps.curve_lookup import looked_up
@@ -35,10 +35,13 @@ SHARP_PX = 1e-3
 
 @dataclass(frozen=True, slots=True, eq=False)
 class CurveFits:
-    """Fits the curves of the listed pixels, once it is known how noisy they are and how wide."""
+    """Fits the curves of the listed pixels, once it is known how noisy they are and how wide.
+
+    ``footprints`` are those of every pixel of the photo.
+    """
 
     curves: SweepCurves
-    pixels: Int64[np.ndarray, " pixels"]
+    pixels: Int[np.ndarray, " pixels"]
     footprints: Footprints
     widths: NeighbourWidths
     noise: NoiseModel
@@ -46,7 +49,7 @@ class CurveFits:
     def fit(self, rows: np.ndarray | slice) -> tuple[StripeFit, WidthPrior, TwoPaths]:
         """Fit some rows of the list; where the stripe lit a pixel twice, the brighter path is what was fitted."""
         pixels, pattern = self.pixels[rows], self.curves.table.pattern
-        prior = self.widths.prior(self.footprints.some(rows), pixels)
+        prior = self.widths.prior(self.footprints.some(pixels), pixels)
         fit = fit_stripe(self.curves, pixels, prior, noise=self.noise)
         two = two_paths(self.curves, pixels, prior, noise=self.noise)
         two = two.some(good_fit(two.first, pattern, noise=self.noise) & good_fit(two.second, pattern, noise=self.noise))
@@ -54,7 +57,7 @@ class CurveFits:
             getattr(fit, name)[two.rows] = getattr(two.first, name)
         return fit, prior, two
 
-    def drawn(self, pixels: Int64[np.ndarray, " some"]) -> Float64[np.ndarray, "samples some"]:
+    def drawn(self, pixels: Int[np.ndarray, " some"]) -> Float64[np.ndarray, "samples some"]:
         """Return the fitted curves of some of the pixels at their own samples, in counts above black."""
         fit, prior, _ = self.fit(np.searchsorted(self.pixels, pixels))
         samples = self.curves.samples(pixels)
@@ -72,7 +75,7 @@ def good_fit(fit: StripeFit, pattern: StripePattern, *, noise: NoiseModel) -> Bo
 
 def prepared_fits(
     curves: SweepCurves,
-    pixels: Int64[np.ndarray, " pixels"],
+    pixels: Int[np.ndarray, " pixels"],
     *,
     grid: tuple[int, int],
     dark_variance: float,
@@ -88,7 +91,7 @@ def prepared_fits(
     # What is taken for blur depends on the noise, and what for noise on the blur: twice round is enough.
     for of in (some[few], some):
         footprints = Footprints(box_px, _common_blur_px(curves, pixels, box_px, noise=noise))
-        prior = known_prior(footprints.some(of), sd=GRADIENT_SD)
+        prior = known_prior(footprints.some(pixels[of]), sd=GRADIENT_SD)
         fit = fit_stripe(curves, pixels[of], prior, noise=noise)
         told = few if of is some else slice(None)
         noise = _noise(
@@ -100,14 +103,14 @@ def prepared_fits(
             dark_variance=dark_variance,
             lone=lone,
         )
-    widths = neighbour_widths(fit, footprints.some(some), pixels[some], grid=grid, spacing=spacing)
+    widths = neighbour_widths(fit, footprints.some(pixels[some]), pixels[some], grid=grid, spacing=spacing)
     return CurveFits(curves, pixels, footprints, widths, noise)
 
 
-def _centres(curves: SweepCurves, pixels: np.ndarray, *, grid: tuple[int, int]) -> Float64[np.ndarray, "rows cols"]:
+def _centres(curves: SweepCurves, pixels: np.ndarray, *, grid: tuple[int, int]) -> Float32[np.ndarray, "rows cols"]:
     """Return a first guess of the places in device pixels: the centre of mass of each curve about its peak; else NaN."""
     windows, pattern = curves.windows, curves.table.pattern
-    place_px = np.full(grid[0] * grid[1], np.nan)
+    place_px = np.full(grid[0] * grid[1], np.nan, dtype=np.float32)
     offset = np.arange(-windows.half_width, windows.half_width + 1)
     for low in range(0, len(pixels), PIXELS_A_BLOCK):
         part = pixels[low : low + PIXELS_A_BLOCK]
@@ -138,7 +141,7 @@ def _common_blur_px(curves: SweepCurves, pixels: np.ndarray, box_px: np.ndarray,
         return float(blurs[0])
     misfit = []
     for blur in blurs:
-        prior = known_prior(Footprints(box_px[some], float(blur)), sd=0.01)
+        prior = known_prior(Footprints(box_px[pixels[some]], float(blur)), sd=0.01)
         fit = fit_stripe(curves, pixels[some], prior, noise=noise)
         # The logarithm keeps curves that no blur explains from deciding.
         misfit.append(float(np.log1p(fit.chi_square / fit.freedom).sum()))
@@ -148,17 +151,18 @@ def _common_blur_px(curves: SweepCurves, pixels: np.ndarray, box_px: np.ndarray,
 
 
 def _boxes(
-    curves: SweepCurves, place_px: Float64[np.ndarray, "rows cols"], pixels: np.ndarray
-) -> Float32[np.ndarray, "pixels 2"]:
-    """Return the widths of the two boxes of each pixel's footprint: the gradient of the map of places."""
+    curves: SweepCurves, place_px: Float32[np.ndarray, "rows cols"], pixels: np.ndarray
+) -> Float32[np.ndarray, "photo 2"]:
+    """Return the widths of the two boxes of each listed pixel's footprint, from the gradient of the map of places."""
     table = curves.table
     quantum_px = table.pattern.step_px if table.continuous else max(table.pattern.step_px, 1.0)
-    gradient = coordinate_gradient(place_px, np.isfinite(place_px), quantum_px=quantum_px).reshape(-1, 2)
-    widths = gradient[pixels]
+    widths = coordinate_gradient(place_px, np.isfinite(place_px), quantum_px=quantum_px).reshape(-1, 2)
     np.abs(widths, out=widths)
-    known = np.isfinite(widths).all(axis=1)
+    known = np.isfinite(widths[pixels, 0]) & np.isfinite(widths[pixels, 1])
     if not known.all():
-        widths[~known] = np.median(widths[known], axis=0) if known.any() else 0.5
+        told = pixels[known]
+        usual = [float(np.median(widths[told, axis])) if len(told) else 0.5 for axis in (0, 1)]
+        widths[pixels[~known]] = usual
     return widths
 
 
@@ -166,8 +170,9 @@ def _lattice(pixels: np.ndarray, grid: tuple[int, int]) -> tuple[Int64[np.ndarra
     """Return which of the listed pixels are fitted first, and their spacing: an even lattice, or all where there are few."""
     if len(pixels) <= FEW_PIXELS:
         return np.arange(len(pixels)), 1
-    row, col = np.divmod(pixels, grid[1])
-    return np.flatnonzero((row % LATTICE_PX == 0) & (col % LATTICE_PX == 0)), LATTICE_PX
+    lattice = np.zeros(grid, dtype=bool)
+    lattice[::LATTICE_PX, ::LATTICE_PX] = True
+    return np.flatnonzero(lattice.ravel()[pixels]), LATTICE_PX
 
 
 def _noise(

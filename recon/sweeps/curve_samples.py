@@ -3,7 +3,7 @@
 from dataclasses import dataclass
 
 import numpy as np
-from jaxtyping import Bool, Float32, Float64, Int64
+from jaxtyping import Bool, Float32, Float64, Int, Int64
 
 from recon.sweeps.curve_table import CurveTable
 from recon.sweeps.stripe_peak import PeakWindows
@@ -51,7 +51,7 @@ class SweepCurves:
     black: np.ndarray
     clipped: int
 
-    def samples(self, pixels: Int64[np.ndarray, " pixels"]) -> CurveSamples:
+    def samples(self, pixels: Int[np.ndarray, " pixels"]) -> CurveSamples:
         """Make the samples of these pixels ready to fit."""
         windows, pattern = self.windows, self.table.pattern
         counts = windows.samples[pixels].T.astype(np.float32, order="C")

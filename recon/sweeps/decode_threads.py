@@ -6,11 +6,11 @@ from pathlib import Path
 from recon.sessions.session import Session
 from recon.sweeps.correspondence import Method
 
-# Bytes a pixel of the photo, found with tests/bench/decode_memory.py: what stays of a sweep, what one takes while it is decoded,
+# Bytes a pixel of the photo, found with `recon bench`: what stays of a sweep, what one takes while it is decoded,
 # and how much of that for each byte of a sample (photos and windows about the peaks).
-KEPT = {"paper": 13, "full": 25}
-DECODING = {"paper": 10, "full": 50}
-DECODING_A_SAMPLE_BYTE = {"paper": 10, "full": 65}
+KEPT = {"paper": 9, "full": 9}
+DECODING = {"paper": 10, "full": 60}
+DECODING_A_SAMPLE_BYTE = {"paper": 10, "full": 35}
 # The stages that follow, and other programs, want memory too.
 USABLE_SHARE = 0.7
 MEMORY_FILE = Path("/proc/meminfo")
@@ -41,7 +41,7 @@ def threads_that_fit(
 
     >>> sweep = dict(cores=16, sweeps=8, pixels=10_000_000, sample_bytes=1, method="full")
     >>> threads_that_fit(**sweep, memory_bytes=4_000_000_000), threads_that_fit(**sweep, memory_bytes=64_000_000_000)
-    (1, 8)
+    (2, 8)
     """
     one = pixels * (DECODING[method] + DECODING_A_SAMPLE_BYTE[method] * sample_bytes)
     spare = USABLE_SHARE * memory_bytes - sweeps * pixels * KEPT[method]

@@ -4,7 +4,7 @@ from itertools import product
 
 import cv2
 import numpy as np
-from jaxtyping import Bool, Float32, Float64
+from jaxtyping import Bool, Float, Float32
 
 WINDOW_PX = 5
 # Where a small window spans less than this many quanta of the places it sees their steps; a larger one is taken.
@@ -18,7 +18,7 @@ NEIGHBOURHOOD_PX = 2 * (WINDOW_PX // 2) + LARGE_WINDOW_PX // 2
 
 
 def coordinate_gradient(
-    place_px: Float64[np.ndarray, "rows cols"], valid: Bool[np.ndarray, "rows cols"], *, quantum_px: float
+    place_px: Float[np.ndarray, "rows cols"], valid: Bool[np.ndarray, "rows cols"], *, quantum_px: float
 ) -> Float32[np.ndarray, "rows cols 2"]:
     """Return (du/dcol, du/drow) of a coordinate map by least squares over valid neighbours; NaN where too few.
 
@@ -42,7 +42,7 @@ def coordinate_gradient(
 
 
 def _tile_gradient(place_px: np.ndarray, valid: np.ndarray, *, quantum_px: float) -> tuple[np.ndarray, np.ndarray]:
-    filled = np.where(valid, place_px, 0.0)
+    filled = np.where(valid, place_px, 0.0).astype(np.float64)
     median = cv2.medianBlur(filled.astype(np.float32), WINDOW_PX)
     off = np.abs(filled - median)
     spread = cv2.medianBlur(off.astype(np.float32), WINDOW_PX)

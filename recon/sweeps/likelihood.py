@@ -4,9 +4,10 @@ from dataclasses import dataclass
 
 import cv2
 import numpy as np
-from jaxtyping import Bool, Float32, Float64, Int64
+from jaxtyping import Bool, Float32, Float64, Int
 from scipy.stats import chi2
 
+from recon.memory import give_back_free_memory
 from recon.sessions.manifest import StripePattern
 from recon.sweeps.curve_fits import CurveFits, good_fit, prepared_fits
 from recon.sweeps.curve_samples import SweepCurves
@@ -36,7 +37,7 @@ class LikelihoodPlaces:
 
     place_px: Float32[np.ndarray, "rows cols"]
     sd_px: Float32[np.ndarray, "rows cols"]
-    twice: Int64[np.ndarray, " twice"]
+    twice: Int[np.ndarray, " twice"]
     second_px: Float64[np.ndarray, " twice"]
     second_sd_px: Float64[np.ndarray, " twice"]
     light: Float32[np.ndarray, "rows cols"]
@@ -46,7 +47,7 @@ class LikelihoodPlaces:
 
 def places_by_likelihood(
     windows: PeakWindows,
-    pixels: Int64[np.ndarray, " pixels"],
+    pixels: Int[np.ndarray, " pixels"],
     pattern: StripePattern,
     *,
     black: np.ndarray,
@@ -75,10 +76,11 @@ def places_by_likelihood(
     table = curve_table(pattern, half_width=windows.half_width, continuous=continuous)
     curves = SweepCurves(windows, table, black.ravel(), clipped)
     fits = prepared_fits(curves, pixels, grid=black.shape, dark_variance=dark_variance)
+    give_back_free_memory()
     place_px, sd_px, light, chi_square, freedom, width_px = (
         np.full(black.shape, np.nan, dtype=np.float32) for _ in range(6)
     )
-    unresolved = np.zeros(black.shape, dtype=np.float32)
+    unresolved: list[tuple[np.ndarray, np.ndarray]] = []
     twice, second_px, second_sd_px, second_width_px = [pixels[:0]], [np.empty(0)], [np.empty(0)], [np.empty(0)]
     for low in range(0, len(pixels), PIXELS_AT_ONCE):
         rows = slice(low, low + PIXELS_AT_ONCE)
@@ -98,15 +100,18 @@ def places_by_likelihood(
         place_px.ravel()[part[good]], sd_px.ravel()[part[good]] = fit.place_px[good], fit.sd_px[good]
         unsure = unresolved_px(fit, prior)
         unsure[two.rows] = 0.0
-        unresolved.ravel()[part[unsure > 0]] = unsure[unsure > 0]
+        unresolved.append((part[unsure > 0], unsure[unsure > 0].astype(np.float32)))
         twice.append(part[two.rows])
         second_px.append(two.second.place_px)
         second_width_px.append(np.exp(two.second.log_width))
         ratio = two.second.chi_square / two.second.freedom
         second_sd_px.append(two.second.sd_px * np.sqrt(np.maximum(ratio, 1.0)))
-    misfit = float(np.median((chi_square / freedom).ravel()[pixels])) if len(pixels) else float("nan")
-    sd_px *= _misfit_scale(chi_square, freedom, np.isfinite(place_px))
-    np.hypot(sd_px, unresolved, out=sd_px)
+    give_back_free_memory()
+    misfit = _median_ratio(chi_square, freedom, pixels)
+    _widen_by_misfit(sd_px, chi_square, freedom, np.isfinite(place_px))
+    del chi_square, freedom
+    for unsure_pixels, unsure_px in unresolved:
+        sd_px.ravel()[unsure_pixels] = np.hypot(sd_px.ravel()[unsure_pixels], unsure_px)
     beyond = scatter_beyond(place_px, sd_px, width_px)
     width_px *= np.float32(beyond)
     np.hypot(sd_px, width_px, out=sd_px)
@@ -122,6 +127,17 @@ def places_by_likelihood(
     )
 
 
+def _median_ratio(
+    chi_square: Float32[np.ndarray, "rows cols"], freedom: Float32[np.ndarray, "rows cols"], pixels: np.ndarray
+) -> float:
+    """Return the median of chi-square over degrees of freedom of the listed pixels; NaN where there are none."""
+    if not len(pixels):
+        return float("nan")
+    ratio = chi_square.ravel()[pixels]
+    ratio /= freedom.ravel()[pixels]
+    return float(np.median(ratio, overwrite_input=True))
+
+
 def _cut_off(curves: SweepCurves, pixels: np.ndarray) -> Bool[np.ndarray, " pixels"]:
     """Return which curves are not down at an end of their window that lies within the sweep."""
     windows = curves.windows
@@ -132,16 +148,16 @@ def _cut_off(curves: SweepCurves, pixels: np.ndarray) -> Bool[np.ndarray, " pixe
     return (before & (first > CUT_OFF_LEVEL * peak)) | (after & (last > CUT_OFF_LEVEL * peak))
 
 
-def _misfit_scale(
+def _widen_by_misfit(
+    sd_px: Float32[np.ndarray, "rows cols"],
     chi_square: Float32[np.ndarray, "rows cols"],
     freedom: Float32[np.ndarray, "rows cols"],
     good: Bool[np.ndarray, "rows cols"],
-) -> Float32[np.ndarray, "rows cols"]:
-    """Return by how much each sd is widened, because curves are not quite the model's (Birge's ratio).
+) -> None:
+    """Widen each sd, in place, where curves are not quite the model's (Birge's ratio).
 
     The ratio of the neighbourhood counts, whose own scatter is small; a pixel's own one does where chance does not explain it.
     """
-    scale = np.empty_like(chi_square)
     # The limit over the degrees of freedom is least where these are most: few pixels are worth asking for their own.
     most = float(freedom[good].max()) if good.any() else 1.0
     least_limit = np.float32(chi2.isf(OWN_MISFIT_CHANCE, most) / most)
@@ -166,5 +182,4 @@ def _misfit_scale(
         limit = local[doubtful] * chi2.isf(OWN_MISFIT_CHANCE, freedom[band][doubtful])
         own = np.where(chi_square[band][doubtful] > limit, ratio[doubtful], 0)
         local[doubtful] = np.maximum(local[doubtful], own)
-        scale[low : low + BAND_ROWS] = np.sqrt(local[low - above :][:BAND_ROWS])
-    return scale
+        sd_px[low : low + BAND_ROWS] *= np.sqrt(local[low - above :][:BAND_ROWS])

@@ -26,6 +26,7 @@ LARGEST_SQUARE = 64.0
 BRIGHT_SHARE = 0.5
 BESIDE_PIXELS = 100_000
 COUNTED_AT_ONCE = 1 << 18
+BAND_ROWS = 128
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -140,21 +141,35 @@ def lone_peak_variance(
     A fit follows such a sample whatever its noise. But neighbours lit by the same stripe alone are lit alike, so that their
     difference tells the variance of a fully lit sample.
     """
-    middle = windows.half_width
-    dark = black.ravel().astype(np.float32)
-    peak = windows.samples[:, middle].astype(np.float32) - dark
-    beside = np.maximum(windows.samples[:, middle - 1], windows.samples[:, middle + 1]).astype(np.float32) - dark
-    lone = (windows.peak_index >= 0) & (windows.samples[:, middle] < clipped)
+    heights, squares = [], []
+    for low in range(0, len(black), BAND_ROWS):
+        height, square = _lone_pairs(windows, black, slice(low, low + BAND_ROWS), clipped, dark_variance)
+        heights.append(height)
+        squares.append(square)
+    height, square = np.concatenate(heights), np.concatenate(squares)
+    if len(height) < FEWEST_IN_BIN:
+        return None
+    return float(np.median(height)), float(np.median(square)) / CHI_SQUARE_MEDIAN
+
+
+def _lone_pairs(
+    windows: PeakWindows, black: np.ndarray, band: slice, clipped: int, dark_variance: float
+) -> tuple[np.ndarray, np.ndarray]:
+    """Return mean height and half the squared difference of each pair of such neighbours in a band of rows."""
+    middle, columns = windows.half_width, black.shape[1]
+    part = slice(band.start * columns, band.stop * columns)
+    samples, index = windows.samples[part], windows.peak_index[part]
+    dark = black[band].ravel().astype(np.float32)
+    peak = samples[:, middle].astype(np.float32) - dark
+    beside = np.maximum(samples[:, middle - 1], samples[:, middle + 1]).astype(np.float32) - dark
+    lone = (index >= 0) & (samples[:, middle] < clipped)
     lone &= beside < np.maximum(LONE_SHARE * peak, 3 * np.sqrt(dark_variance))
-    lone, peak, index = lone.reshape(black.shape), peak.reshape(black.shape), windows.peak_index.reshape(black.shape)
+    lone, peak, index = lone.reshape(-1, columns), peak.reshape(-1, columns), index.reshape(-1, columns)
     pair = lone[:, 1:] & lone[:, :-1] & (index[:, 1:] == index[:, :-1])
     # A pixel that sees its stripe through a rim is darker than its neighbour: not noise.
     pair &= np.abs(peak[:, 1:] - peak[:, :-1]) < LARGEST_STEP_SHARE * (peak[:, 1:] + peak[:, :-1])
-    if np.count_nonzero(pair) < FEWEST_IN_BIN:
-        return None
     height = 0.5 * (peak[:, 1:] + peak[:, :-1])[pair]
-    square = 0.5 * (peak[:, 1:] - peak[:, :-1])[pair].astype(np.float64) ** 2
-    return float(np.median(height)), float(np.median(square)) / CHI_SQUARE_MEDIAN
+    return height, 0.5 * (peak[:, 1:] - peak[:, :-1])[pair].astype(np.float64) ** 2
 
 
 def beside_peak_variance(windows: PeakWindows, black: np.ndarray) -> float | None:

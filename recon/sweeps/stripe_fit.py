@@ -11,7 +11,7 @@ from copy import copy
 from dataclasses import dataclass
 
 import numpy as np
-from jaxtyping import Float64, Int64
+from jaxtyping import Float64, Int, Int64
 
 from recon.sweeps.curve_lookup import looked_up
 from recon.sweeps.curve_samples import CurveSamples, SweepCurves
@@ -67,7 +67,7 @@ class StripeFit:
 
 
 def fit_stripe(
-    curves: SweepCurves, pixels: Int64[np.ndarray, " pixels"], prior: WidthPrior, *, noise: NoiseModel
+    curves: SweepCurves, pixels: Int[np.ndarray, " pixels"], prior: WidthPrior, *, noise: NoiseModel
 ) -> StripeFit:
     """Fit the curve of every listed pixel, some thousands at a time so that memory stays small."""
     result = StripeFit(*(np.full(len(pixels), np.nan) for _ in StripeFit.__slots__))

@@ -23,19 +23,27 @@ class PeakWindows:
 
     ``peak_index`` [pixels] is the stripe number of the brightest sample, ``NO_PEAK`` where no sample rose above the
     floor; ``samples`` [pixels, 2 * half_width + 1] are the counts about it, zero beyond the sweep's ends. ``second`` holds the
-    windows about the brightest maximum outside those, where a sweep was searched for one.
+    brightest maxima outside those windows, where a sweep was searched for them.
     """
 
     peak_index: Int32[np.ndarray, " pixels"]
     samples: np.ndarray
     half_width: int
     photo_count: int
-    second: "PeakWindows | None" = None
+    second: "SecondPeaks | None" = None
 
     def inside(self) -> np.ndarray:
         """Return which samples [pixels, window] exist, rather than lying beyond the sweep's ends."""
         place = self.peak_index[:, None] + np.arange(-self.half_width, self.half_width + 1)
         return (place >= 0) & (place < self.photo_count) & (self.peak_index[:, None] != NO_PEAK)
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class SecondPeaks:
+    """The windows about a second maximum, which few pixels have: ``row`` [pixels] is that of a pixel, ``NO_PEAK`` for most."""
+
+    row: Int32[np.ndarray, " pixels"]
+    windows: PeakWindows
 
 
 class PeakTracker:
@@ -50,7 +58,7 @@ class PeakTracker:
             raise ValueError("half_width: at least one neighbour on each side is needed")
         self._half_width = half_width
         self._first = _Peaks(floor.ravel(), half_width)
-        self._second = _Peaks(floor.ravel(), half_width) if second else None
+        self._second = _FewPeaks(floor.ravel(), half_width) if second else None
         nothing = np.zeros(floor.size, dtype=floor.dtype)
         self._ring = [nothing] * (2 * half_width + 1)
         self._nothing = nothing
@@ -68,7 +76,7 @@ class PeakTracker:
         """Test the photos still in the window and return the result."""
         for _ in range(self._half_width):
             self._push(self._nothing)
-        return self._first.windows(self._fed, second=None if self._second is None else self._second.windows(self._fed))
+        return self._first.windows(self._fed, second=None if self._second is None else self._second.peaks(self._fed))
 
     def _push(self, counts: np.ndarray) -> np.ndarray | None:
         oldest = self._ring.pop(0)
@@ -129,24 +137,54 @@ class _Peaks:
         # Pages of memory that no pixel is written to are never taken.
         self.samples = np.zeros((floor.size, 2 * half_width + 1), dtype=floor.dtype)
 
+    def rows(self, pixels: np.ndarray) -> np.ndarray:
+        """Return in which rows of ``index`` and ``samples`` these pixels are written."""
+        return pixels
+
     def write(self, pixels: np.ndarray, height: np.ndarray, index: int, ring: list[np.ndarray]) -> None:
         """Let photo ``index`` be the brightest of these pixels."""
+        rows = self.rows(pixels)
         self.brightest[pixels] = height
-        self.index[pixels] = index
+        self.index[rows] = index
         window = np.empty((len(pixels), len(ring)), dtype=self.samples.dtype)
         for column, photo in enumerate(ring):
             window[:, column] = photo.take(pixels)
-        self.samples[pixels] = window
+        self.samples[rows] = window
 
-    def take_over(self, pixels: np.ndarray, other: "_Peaks") -> None:
-        """Take what the other one holds of these pixels."""
-        self.brightest[pixels] = other.brightest[pixels]
-        self.index[pixels] = other.index[pixels]
-        self.samples[pixels] = other.samples[pixels]
-
-    def windows(self, photo_count: int, *, second: PeakWindows | None = None) -> PeakWindows:
+    def windows(self, photo_count: int, *, second: SecondPeaks | None = None) -> PeakWindows:
         """Return what was found in so many photos."""
         return PeakWindows(self.index, self.samples, self.samples.shape[1] // 2, photo_count, second)
+
+
+class _FewPeaks(_Peaks):
+    """The same where few pixels have any: they get rows as they come, so that noise here and there takes no memory everywhere."""
+
+    def __init__(self, floor: np.ndarray, half_width: int) -> None:
+        super().__init__(floor, half_width)
+        self.index = np.zeros(floor.size, dtype=np.int32)
+        self._row = np.full(floor.size, NO_PEAK, dtype=np.int32)
+        self._count = 0
+
+    def rows(self, pixels: np.ndarray) -> np.ndarray:
+        """Return the rows of these pixels, new ones where they had none."""
+        rows = self._row.take(pixels)
+        new = np.flatnonzero(rows == NO_PEAK)
+        rows[new] = np.arange(self._count, self._count + len(new))
+        self._row[pixels[new]] = rows[new]
+        self._count += len(new)
+        return rows
+
+    def take_over(self, pixels: np.ndarray, other: _Peaks) -> None:
+        """Take what the other one holds of these pixels."""
+        rows = self.rows(pixels)
+        self.brightest[pixels] = other.brightest[pixels]
+        self.index[rows] = other.index[pixels]
+        self.samples[rows] = other.samples[pixels]
+
+    def peaks(self, photo_count: int) -> SecondPeaks:
+        """Return what was found in so many photos."""
+        index, samples = self.index[: self._count], self.samples[: self._count]
+        return SecondPeaks(self._row, PeakWindows(index, samples, samples.shape[1] // 2, photo_count))
 
 
 def parabola_offset(

@@ -7,14 +7,14 @@ curves are fitted, each with the other's light taken away, and the two places ar
 from dataclasses import dataclass
 
 import numpy as np
-from jaxtyping import Bool, Float32, Float64, Int32, Int64
+from jaxtyping import Bool, Float32, Float64, Int, Int32, Int64
 
 from recon.sweeps.curve_lookup import looked_up
 from recon.sweeps.curve_samples import SweepCurves
 from recon.sweeps.curve_table import CurveTable
 from recon.sweeps.noise import NoiseModel
 from recon.sweeps.stripe_fit import StripeFit, WidthPrior, fit_stripe
-from recon.sweeps.stripe_peak import NO_PEAK, PeakWindows
+from recon.sweeps.stripe_peak import NO_PEAK, PeakWindows, SecondPeaks
 
 # A second peak is one that noise alone would show in one sample of a thousand million.
 SECOND_SIGMA = 6.0
@@ -66,7 +66,7 @@ class _Peak:
 
 
 def two_paths(
-    curves: SweepCurves, pixels: Int64[np.ndarray, " pixels"], prior: WidthPrior, *, noise: NoiseModel
+    curves: SweepCurves, pixels: Int[np.ndarray, " pixels"], prior: WidthPrior, *, noise: NoiseModel
 ) -> TwoPaths:
     """Fit both peaks of the listed pixels that have two; whether a fit is good is for the caller to judge.
 
@@ -77,7 +77,11 @@ def two_paths(
     if beyond is None:
         return TwoPaths(np.empty(0, dtype=np.int64), nothing, nothing)
     rows = _risen(curves, beyond, pixels, noise=noise)
-    one, other = (_peak(curves, both, pixels[rows]) for both in (windows, beyond))
+    risen = pixels[rows]
+    one, other = (
+        _peak(curves, windows, risen, pixels=risen),
+        _peak(curves, beyond.windows, beyond.row[risen], pixels=risen),
+    )
     apart = _valley(one, other, photo_count=windows.photo_count, noise=noise)
     rows, one, other = rows[apart], one.some(apart), other.some(apart)
     if len(rows) == 0:
@@ -123,20 +127,25 @@ def unresolved_px(fit: StripeFit, prior: WidthPrior) -> Float64[np.ndarray, " pi
 
 
 def _risen(
-    curves: SweepCurves, second: PeakWindows, pixels: np.ndarray, *, noise: NoiseModel
+    curves: SweepCurves, second: SecondPeaks, pixels: np.ndarray, *, noise: NoiseModel
 ) -> Int64[np.ndarray, " risen"]:
     """Return the rows of the pixels whose second maximum is neither noise nor glare, and inside the sweep."""
-    middle = second.half_width
-    black = curves.black[pixels].astype(np.float32)
-    first_top, top = (one.samples[pixels, middle].astype(np.float32) - black for one in (curves.windows, second))
-    number = second.peak_index[pixels]
-    inside = (number != NO_PEAK) & (number > 0) & (number < second.photo_count - 1)
+    some = np.flatnonzero(second.row[pixels] != NO_PEAK)
+    these, row = pixels[some], second.row[pixels[some]]
+    first, windows = curves.windows, second.windows
+    middle = windows.half_width
+    black = curves.black[these].astype(np.float32)
+    first_top = first.samples[these, middle].astype(np.float32) - black
+    top = windows.samples[row, middle].astype(np.float32) - black
+    number = windows.peak_index[row]
+    inside = (number > 0) & (number < windows.photo_count - 1)
     least = np.maximum(SECOND_SIGMA * np.sqrt(noise.read_variance), LEAST_SHARE * first_top)
-    return np.flatnonzero(inside & (top >= least))
+    return some[inside & (top >= least)]
 
 
-def _peak(curves: SweepCurves, windows: PeakWindows, pixels: np.ndarray) -> _Peak:
-    counts, number = windows.samples[pixels], windows.peak_index[pixels]
+def _peak(curves: SweepCurves, windows: PeakWindows, rows: np.ndarray, *, pixels: np.ndarray) -> _Peak:
+    """Return the peaks in some rows of the windows, which are those of ``pixels``."""
+    counts, number = windows.samples[rows], windows.peak_index[rows]
     height = counts.astype(np.float32) - curves.black[pixels].astype(np.float32)[:, None]
     return _Peak(number, height, (counts < curves.clipped) & _exists(number, windows))
 

@@ -9,7 +9,7 @@ from dataclasses import dataclass
 
 import cv2
 import numpy as np
-from jaxtyping import Float32, Float64, Int64
+from jaxtyping import Float32, Float64, Int
 
 from recon.sweeps.curve_table import shape_of
 from recon.sweeps.stripe_fit import StripeFit, WidthPrior
@@ -56,7 +56,7 @@ class NeighbourWidths:
     spacing: int
     columns: int
 
-    def prior(self, footprints: Footprints, pixels: Int64[np.ndarray, " pixels"]) -> WidthPrior:
+    def prior(self, footprints: Footprints, pixels: Int[np.ndarray, " pixels"]) -> WidthPrior:
         """Return the prior of the listed pixels, whose footprints these are."""
         # The window about a pixel holds the same pixels of the lattice as that about the nearest one of these.
         row, col = ((one + self.spacing // 2) // self.spacing for one in np.divmod(pixels, self.columns))
@@ -67,7 +67,7 @@ class NeighbourWidths:
 def neighbour_widths(
     fit: StripeFit,
     footprints: Footprints,
-    pixels: Int64[np.ndarray, " pixels"],
+    pixels: Int[np.ndarray, " pixels"],
     *,
     grid: tuple[int, int],
     spacing: int,

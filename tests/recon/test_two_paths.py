@@ -9,7 +9,7 @@ from recon.sweeps.curve_samples import SweepCurves
 from recon.sweeps.curve_table import curve_table
 from recon.sweeps.noise import NoiseModel
 from recon.sweeps.stripe_fit import WidthPrior, fit_stripe
-from recon.sweeps.stripe_peak import PeakTracker, PeakWindows
+from recon.sweeps.stripe_peak import PeakTracker
 from recon.sweeps.two_paths import TwoPaths, two_paths, unresolved_px
 from recon.sweeps.width_prior import Footprints, known_prior
 
@@ -98,8 +98,9 @@ def test_the_second_peak_is_kept_whichever_comes_first(curve: list[int]) -> None
     for sample in curve:
         tracker.feed(np.full((1, 1), sample, np.uint8))
     first = tracker.finish()
-    second: PeakWindows | None = first.second
-    assert second is not None
+    assert first.second is not None
+    second = first.second.windows
+    assert first.second.row.tolist() == [0]
     assert first.samples[0].tolist() == [0, 30, 90, 30, 0]
     assert second.samples[0].tolist() == [0, 9, 50, 9, 0]
     assert {int(first.peak_index[0]), int(second.peak_index[0])} == {2, 8}
