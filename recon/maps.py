@@ -23,6 +23,7 @@ class Support(IntEnum):
     NONE = 0
     OWN_CROSSING = 1
     NEIGHBOURS_ONLY = 2
+    COVERED = 3
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -48,8 +49,12 @@ class Maps:
     path_count: UInt8[np.ndarray, "rows cols"] | None = None
 
     def valid(self) -> Bool[np.ndarray, "rows cols"]:
-        """Return the pixels that have a point."""
+        """Return the pixels that have a point, and measured it themselves."""
         return self.status == PixelStatus.OK
+
+    def with_point(self) -> Bool[np.ndarray, "rows cols"]:
+        """Return the pixels that have a point: their own, or that of the surface about them."""
+        return self.valid() | (self.status == PixelStatus.COVERED)
 
 
 def save_maps(maps: Maps, path: Path) -> None:

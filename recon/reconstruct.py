@@ -1,10 +1,10 @@
 """From the correspondences of four sets to points and normals on the camera grid: pure arrays, no files."""
 
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
-from jaxtyping import Float64, Int64, UInt8
+from jaxtyping import Bool, Float64, Int64, UInt8
 
 from recon.geometry.beside import liquid_surface
 from recon.geometry.entry_point import EntryPoints, entry_points
@@ -114,6 +114,18 @@ def cross_paths(
     return status, crossing
 
 
+def without_spots(
+    status: UInt8[np.ndarray, " pixels"], crossing: Crossing, spots: Bool[np.ndarray, "rows cols"]
+) -> tuple[UInt8[np.ndarray, " pixels"], Crossing]:
+    """Leave out the pixels of spots, whose paths in the liquid may be wrong where their gaps do not show it."""
+    on_surface = np.isin(crossing.status, (PixelStatus.OK, PixelStatus.PARALLEL_PATHS))
+    lost = spots.ravel()[crossing.pixels] & on_surface
+    ours = np.where(lost, np.uint8(PixelStatus.WET_SPOT), crossing.status)
+    everywhere = status.copy()
+    everywhere[crossing.pixels] = ours
+    return everywhere, replace(crossing, status=ours)
+
+
 def _choices(
     sweeps: SweepResults, twice: np.ndarray, manifest: Manifest, *, method: Method, limits: Limits
 ) -> Int64[np.ndarray, " twice"]:
@@ -147,13 +159,13 @@ def _crossed(
 ) -> tuple[dict[str, LightPaths], EntryPoints]:
     """Make the paths in liquid and in air, and cross them."""
     paths = {
-        condition: _paths(by_name, manifest, condition, n_medium=n, method=method)
+        condition: paths_of(by_name, manifest, condition, n_medium=n, method=method)
         for condition, n in (("liquid", manifest.n_liquid()), ("air", manifest.n_air))
     }
     return paths, entry_points(paths["liquid"], paths["air"], weighted=method == "full")
 
 
-def _paths(
+def paths_of(
     by_name: Mapping[str, Correspondences],
     manifest: Manifest,
     condition: str,
@@ -161,6 +173,7 @@ def _paths(
     n_medium: float,
     method: Method,
 ) -> LightPaths:
+    """Make the paths of these pixels in one medium from the correspondences of its two sets."""
     first, second = (by_name[f"pos{position}_{condition}"] for position in (0, 1))
     sets = [manifest.set_named(f"pos{position}_{condition}") for position in (0, 1)]
     # The paper's method knows no uncertainty; equal ones make its crossing the plain middle.

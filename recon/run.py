@@ -184,11 +184,12 @@ def decode_session(
 def write_arrays(out: Path, outcome: Outcome, *, key: str) -> None:
     """Write ``maps.npz``, ``cloud.ply``, ``mesh.ply`` and ``mesh.glb``, and keep them for the next run under ``key``."""
     maps = outcome.maps
-    valid = maps.valid()
+    known = maps.with_point()
+    support = None if maps.support is None else maps.support[known]
     try:
         forget_outcome(out)
         save_maps(maps, out / MAPS_NAME)
-        write_cloud_ply(out / CLOUD_NAME, maps.point_mm[valid], maps.normal[valid], maps.sd_mm[valid])
+        write_cloud_ply(out / CLOUD_NAME, maps.point_mm[known], maps.normal[known], maps.sd_mm[known], support=support)
         if outcome.mesh is not None:
             write_mesh_ply(out / MESH_NAME, outcome.mesh)
             write_mesh_glb(out / GLB_NAME, outcome.mesh)

@@ -23,6 +23,8 @@ class PixelStatus(IntEnum):
     TWO_PATHS = 11
     HALF_SEEN = 12
     STANDS_ALONE = 13
+    COVERED = 14
+    WET_SPOT = 15
 
 
 REASONS: dict[PixelStatus, str] = {
@@ -40,6 +42,8 @@ REASONS: dict[PixelStatus, str] = {
     PixelStatus.TWO_PATHS: "sees the display by two light paths, and does not say which belong together",
     PixelStatus.HALF_SEEN: "an edge leaves less than half of its light: its centre sees nothing of the display",
     PixelStatus.STANDS_ALONE: "its point lies on no surface with those about it: stray light, or parts of two paths",
+    PixelStatus.COVERED: "its own measurement was left out; point and normal are those of the surface about it",
+    PixelStatus.WET_SPOT: "lies in a spot that is sound in air and not in the liquid: a bubble, most likely",
 }
 
 StatusMap = npt.NDArray[np.uint8]

@@ -99,6 +99,12 @@ def _losses(maps: Maps, funnel: Funnel, *, share: float) -> tuple[str, ...]:
         count = int(np.count_nonzero(maps.status == status))
         if count > share * max(funnel.lit, 1) and count > 0:
             reasons.append(f"{count / max(funnel.lit, 1):.0%} of the lit pixels have no point: {REASONS[status]}.")
+    covered = int(np.count_nonzero(maps.status == PixelStatus.COVERED))
+    if covered > share * max(funnel.lit, 1) and covered > 0:
+        reasons.append(
+            f"{covered / max(funnel.lit, 1):.0%} of the lit pixels have no measurement of their own: the surface about them "
+            "covers them."
+        )
     return tuple(reasons)
 
 

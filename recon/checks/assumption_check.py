@@ -9,7 +9,7 @@ from recon.checks.shared_gaps import shared_gaps
 from recon.checks.wet_spots import WetSpot, wet_spots
 from recon.maps import Maps
 from recon.reconstruct import Crossing
-from recon.status import PixelStatus
+from recon.status import PixelStatus, StatusMap
 from recon.sweeps.correspondence import SweepResult
 
 # Gaps that are alike over more of the object than this are no spot.
@@ -20,15 +20,17 @@ LEAN_SLOPE = 0.1
 SPOTS_NAMED = 3
 
 
-def assumption_doubts(sweeps: Mapping[tuple[str, str], SweepResult], crossing: Crossing, maps: Maps) -> tuple[str, ...]:
-    """Return a sentence for each assumption that the session itself contradicts."""
+def assumption_doubts(
+    sweeps: Mapping[tuple[str, str], SweepResult], crossing: Crossing, maps: Maps, crossed: StatusMap
+) -> tuple[str, ...]:
+    """Return a sentence for each assumption that the session itself contradicts; ``crossed`` is the status before any surface."""
     _, shared = shared_gaps(crossing, shape=(maps.status.shape[0], maps.status.shape[1]))
-    crossed = int(np.count_nonzero(np.isin(crossing.status, (PixelStatus.OK, PixelStatus.GAP_TOO_LARGE))))
-    share = np.count_nonzero(shared) / max(crossed, 1)
+    on_object = int(np.count_nonzero(np.isin(crossing.status, (PixelStatus.OK, PixelStatus.GAP_TOO_LARGE))))
+    share = np.count_nonzero(shared) / max(on_object, 1)
     doubts = []
     if share > SHARED_SHARE:
         doubts.append(_shared_sentence(share))
-    spots = wet_spots(sweeps, maps.status, shared)
+    spots = wet_spots(sweeps, crossed, shared)
     if spots:
         doubts.append(_spots_sentence(spots))
     leaning = lean(crossing, maps)

@@ -4,14 +4,28 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 
 import numpy as np
-from jaxtyping import Bool, UInt8
-from scipy.ndimage import binary_closing, binary_fill_holes, binary_opening, binary_propagation, find_objects, label
+from jaxtyping import Bool, Int32, UInt8
+from scipy.ndimage import (
+    binary_closing,
+    binary_dilation,
+    binary_fill_holes,
+    find_objects,
+    label,
+    uniform_filter,
+)
 
 from recon.status import PixelStatus
 from recon.sweeps.correspondence import SweepResult
 
 # A crease or a rim that looks odd in liquid alone is a line of a pixel or two; a bubble is a patch.
 PATCH = np.ones((3, 3), dtype=bool)
+# Not every pixel of a bubble looks odd, but a good part of those about each that does.
+DENSE_PX, DENSE_SHARE = 5, 0.15
+# So far beyond the last odd pixel light still passes the bubble.
+GROWN_PX = 2
+SMALLEST_PX = 9
+# A bubble shows a pixel the display by no path that is one curve, or by two.
+BAD_IN_LIQUID = (PixelStatus.BAD_FIT, PixelStatus.TWO_PATHS)
 # What is larger than this share of the object is not a spot.
 LARGEST_SHARE = 0.05
 # A bubble is round, and seen through a lens oval; longer patches lie along edges of the object or rows of display pixels.
@@ -37,25 +51,44 @@ def wet_spots(
     A pixel belongs to one if it has places in both dry sets, and in the wet ones either no curve of one stripe, or paths that
     miss the dry ones as their neighbours' do (``shared``).
     """
-    dry = [one.status == PixelStatus.OK for (name, _), one in sweeps.items() if name.endswith("_air")]
-    wet = [one.status == PixelStatus.BAD_FIT for (name, _), one in sweeps.items() if name.endswith("_liquid")]
-    if not dry or not wet:
-        return ()
-    sound = np.logical_and.reduce(dry)
-    bad = sound & (np.logical_or.reduce(wet) | (status == PixelStatus.GAP_TOO_LARGE) | shared)
-    whole = binary_fill_holes(binary_closing(bad, PATCH)) & sound
-    patches = binary_propagation(binary_opening(whole, PATCH), mask=whole)
-    regions, count = label(patches, PATCH)
-    size = np.bincount(regions.ravel(), minlength=count + 1)
-    largest = LARGEST_SHARE * np.count_nonzero(
-        np.isin(status, (PixelStatus.OK, PixelStatus.GAP_TOO_LARGE, PixelStatus.BAD_FIT))
-    )
+    regions, chosen = _regions(sweeps, status, shared)
+    size = np.bincount(regions.ravel())
     spots = [
         WetSpot((rows.start + rows.stop - 1) // 2, (cols.start + cols.stop - 1) // 2, int(size[number]))
-        for number, (rows, cols) in enumerate(find_objects(regions), start=1)
-        if size[number] <= largest and _elongation(regions[rows, cols] == number) <= LONGEST
+        for number, (rows, cols) in chosen.items()
     ]
     return tuple(sorted(spots, key=lambda spot: -spot.pixels))
+
+
+def spot_pixels(sweeps: Mapping[tuple[str, str], SweepResult], status: UInt8[np.ndarray, "rows cols"]) -> Mask:
+    """Return the pixels of all spots and those just beyond: what they measured in the liquid may be wrong unseen."""
+    regions, chosen = _regions(sweeps, status, np.zeros(status.shape, dtype=bool))
+    spots = np.isin(regions, list(chosen))
+    return binary_dilation(spots, PATCH, iterations=GROWN_PX) if chosen else spots
+
+
+def _regions(
+    sweeps: Mapping[tuple[str, str], SweepResult], status: UInt8[np.ndarray, "rows cols"], shared: Mask
+) -> tuple[Int32[np.ndarray, "rows cols"], dict[int, tuple[slice, slice]]]:
+    """Number the patches that are bad in liquid alone, and return the bounds of those that may be bubbles."""
+    dry = [one.status == PixelStatus.OK for (name, _), one in sweeps.items() if name.endswith("_air")]
+    wet = [np.isin(one.status, BAD_IN_LIQUID) for (name, _), one in sweeps.items() if name.endswith("_liquid")]
+    if not dry or not wet:
+        return np.zeros(status.shape, dtype=np.int32), {}
+    sound = np.logical_and.reduce(dry)
+    bad = sound & (np.logical_or.reduce(wet) | (status == PixelStatus.GAP_TOO_LARGE) | shared)
+    dense = bad & (uniform_filter(bad.astype(np.float64), DENSE_PX, mode="constant") > DENSE_SHARE)
+    whole = binary_fill_holes(binary_closing(dense, np.ones((DENSE_PX, DENSE_PX), dtype=bool))) & sound
+    regions, count = label(whole, PATCH)
+    size = np.bincount(regions.ravel(), minlength=count + 1)
+    largest = LARGEST_SHARE * np.count_nonzero(
+        np.isin(status, (PixelStatus.OK, PixelStatus.WET_SPOT, PixelStatus.GAP_TOO_LARGE, PixelStatus.BAD_FIT))
+    )
+    return regions, {
+        number: (rows, cols)
+        for number, (rows, cols) in enumerate(find_objects(regions), start=1)
+        if SMALLEST_PX <= size[number] <= largest and _elongation(regions[rows, cols] == number) <= LONGEST
+    }
 
 
 def _elongation(patch: Mask) -> float:

@@ -43,6 +43,8 @@ STATUS_COLOURS: dict[PixelStatus, str] = {
     PixelStatus.TWO_PATHS: "#00b4d8",
     PixelStatus.HALF_SEEN: "#606c38",
     PixelStatus.STANDS_ALONE: "#6d213c",
+    PixelStatus.COVERED: "#95d5b2",
+    PixelStatus.WET_SPOT: "#ffb703",
 }
 
 

@@ -8,6 +8,7 @@ from recon.calibration.calibration_file import read_calibration
 from recon.calibration.session_calibration import calibration_path
 from recon.checks.assumption_check import assumption_doubts
 from recon.checks.shared_gaps import with_shared_gaps
+from recon.checks.wet_spots import spot_pixels
 from recon.maps import Maps
 from recon.media.liquid_index import (
     chosen_index,
@@ -17,7 +18,7 @@ from recon.media.liquid_index import (
 )
 from recon.media.stated_index import provisional, stated_index, with_index
 from recon.metrics import LiquidIndexRecord, RegistrationRecord, Statistic
-from recon.reconstruct import Crossing, cross_paths, maps_of
+from recon.reconstruct import Crossing, cross_paths, maps_of, without_spots
 from recon.registration.gap_fit import MotionCovariance
 from recon.registration.known_slips import known_slips
 from recon.registration.registration_stage import record_of, registration_of, with_carried
@@ -27,7 +28,9 @@ from recon.sessions.manifest import Manifest
 from recon.sessions.photos import read_grey
 from recon.sessions.session import Session
 from recon.status import PixelStatus
+from recon.surface.covering import COVERABLE
 from recon.surface.mesh import Mesh
+from recon.surface.own_paths import OwnPaths
 from recon.surface.surface_stage import surface_of
 from recon.surface.thin_stage import thin_object
 from recon.sweeps.correspondence import SweepResult
@@ -90,17 +93,21 @@ def reconstruct(
     if registration is not None:
         crossing = with_carried(crossing, registration, manifest)
     shape = (manifest.camera.rows, manifest.camera.columns)
+    own = None
+    before = status.reshape(shape)
     if settings.method == "full":
+        status, crossing = without_spots(status, crossing, spot_pixels(sweeps, before))
         crossing = with_shared_gaps(crossing, shape=shape, n_liquid=manifest.n_liquid(), n_air=manifest.n_air)
+        own = OwnPaths.of(sweeps, manifest, np.flatnonzero(np.isin(status, COVERABLE)))
     maps = _with_path_count(maps_of(status, crossing, shape=shape, method=settings.method), sweeps, settings)
-    surface = surface_of(maps, crossing, manifest, method=settings.method)
+    surface = surface_of(maps, crossing, manifest, method=settings.method, own=own)
     ratio: float | None = None
     doubts: tuple[str, ...] = ()
     if settings.method == "full":
         # Those that miss by too much count as well: left out, a session that is wrong would look sound.
         crossed = np.isin(crossing.status, (PixelStatus.OK, PixelStatus.GAP_TOO_LARGE))
         ratio = gap_ratio(crossing.points.gap_mm[crossed], crossing.points.gap_sd_mm[crossed])
-        doubts = assumption_doubts(sweeps, crossing, surface.maps)
+        doubts = assumption_doubts(sweeps, crossing, surface.maps, before)
     told = registration.sentences(manifest.length_unit) if registration is not None else ()
     mesh, doubt = drawn_mesh(surface.mesh)
     return Outcome(
@@ -108,7 +115,14 @@ def reconstruct(
         mesh,
         ratio,
         _statistics(surface.maps, crossing),
-        (*told, *index_sentences(index), *_warnings(manifest), *surface.warnings, *doubt),
+        (
+            *told,
+            *index_sentences(index),
+            *_warnings(manifest),
+            *surface.warnings,
+            *_covered_sentences(surface.maps),
+            *doubt,
+        ),
         record_of(registration) if registration is not None else None,
         index,
         doubts,
@@ -187,6 +201,17 @@ def _statistics(maps: Maps, crossing: Crossing | None) -> tuple[Statistic, ...]:
             )
         )
     return tuple(one for one in found if one is not None)
+
+
+def _covered_sentences(maps: Maps) -> tuple[str, ...]:
+    """Return what is to be told of points that no pixel measured itself."""
+    covered = int(np.count_nonzero(maps.status == PixelStatus.COVERED))
+    if covered == 0:
+        return ()
+    return (
+        f"{covered} pixels whose own measurement was left out are covered by the surface about them: status COVERED and "
+        "support 3 in the maps, support 3 in the cloud, and part of the mesh.",
+    )
 
 
 def _warnings(manifest: Manifest) -> tuple[str, ...]:

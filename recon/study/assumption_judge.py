@@ -84,9 +84,9 @@ def creased(normal: Float64[np.ndarray, "rows cols 3"]) -> MaskMap:
     return found
 
 
-def errors_of(maps: Maps, truth: Truths) -> Errors:
-    """Return the errors of a result."""
-    found = maps.valid() & truth.judged & np.isfinite(maps.normal).all(axis=2)
+def errors_of(maps: Maps, truth: Truths, *, covered: bool) -> Errors:
+    """Return the errors of a result: of the points that pixels measured themselves, and if asked of those covered too."""
+    found = (maps.with_point() if covered else maps.valid()) & truth.judged & np.isfinite(maps.normal).all(axis=2)
     known = found & np.isfinite(truth.point_mm).all(axis=2)
     again = found & ~known
     point, normal = np.full(found.shape, np.nan), np.full(found.shape, np.nan)

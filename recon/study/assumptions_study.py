@@ -26,15 +26,18 @@ FAR_SD = 3.0
 # A point counts as right up to this many times the median error of method `paper` where nothing is wrong.
 RIGHT_FACTOR = 3.0
 LEFT_OUT = tuple(status for status in PixelStatus if status not in (PixelStatus.OK, PixelStatus.MASKED_OUT))
+# Method ``full`` is judged by what pixels measured themselves, and with those that the surface about them covers.
+COVERED_TOO = "full, covered too"
+SERIES = (*METHODS, COVERED_TOO)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Case:
-    """One wrong assumption with what both methods made of it."""
+    """One wrong assumption with what both methods made of it; ``errors`` by the name of a series."""
 
     name: str
     truth: Truths
-    errors: dict[Method, Errors]
+    errors: dict[str, Errors]
     status: dict[Method, np.ndarray]
     metrics: dict[Method, Metrics]
 
@@ -75,7 +78,9 @@ def _case(wrong: WrongAssumption, folder: Path, columns: int, seed: int, tell: T
         out = folder / f"recon-{method}"
         case.metrics[method] = run_session(session, out, Settings(method=method))
         maps = load_maps(out / MAPS_NAME)
-        case.errors[method], case.status[method] = errors_of(maps, truth), maps.status
+        case.errors[method], case.status[method] = errors_of(maps, truth, covered=False), maps.status
+        if method == "full":
+            case.errors[COVERED_TOO] = errors_of(maps, truth, covered=True)
     return case
 
 
@@ -98,8 +103,8 @@ def errors_table(cases: Sequence[Case]) -> StudyTable:
     rows: list[tuple[Cell, ...]] = []
     for case in cases:
         for part, where in case.parts():
-            for method in METHODS:
-                each = case.errors[method]
+            for series in SERIES:
+                each = case.errors[series]
                 found = where & each.found()
                 point, normal = spread_of(each.point_mm[found]), spread_of(each.normal_deg[found])
                 rows.append(
@@ -107,16 +112,17 @@ def errors_table(cases: Sequence[Case]) -> StudyTable:
                         case.name,
                         part,
                         int(where.sum()),
-                        method,
+                        series,
                         100 * float(found.sum() / where.sum()),
                         *(point.median, point.rms, point.p95),
                         *(normal.median, normal.rms, normal.p95),
-                        _far_percent(each, found) if method == "full" else None,
+                        None if series == "paper" else _far_percent(each, found),
                     )
                 )
     note = (
         "Reached: pixels whose wet path differs from that of the scene without what is wrong; for creases, pixels at a turn of "
-        "the true normal by more than 3°, or at the rim. Beyond 3 sd: points whose error exceeds three of their own standard "
+        "the true normal by more than 3°, or at the rim. Covered too: with the pixels whose own measurement was left out, and "
+        "whose point is that of the surface about them. Beyond 3 sd: points whose error exceeds three of their own standard "
         "deviations."
     )
     return StudyTable(title="Each method's own points", headings=headings, rows=tuple(rows), note=note)
@@ -131,6 +137,7 @@ def common_table(cases: Sequence[Case]) -> StudyTable:
     headings = (
         "wrong assumption",
         "pixels",
+        "beside paper",
         "both have",
         "position median paper (mm)",
         "full",
@@ -145,19 +152,21 @@ def common_table(cases: Sequence[Case]) -> StudyTable:
     right_mm = RIGHT_FACTOR * float(np.nanmedian(cases[0].errors["paper"].point_mm))
     rows: list[tuple[Cell, ...]] = []
     for case in cases:
-        paper, full = case.errors["paper"], case.errors["full"]
+        paper = case.errors["paper"]
         for part, where in case.parts():
-            both = where & paper.found() & full.found()
-            pairs = [
-                (spread_of(getattr(paper, name)[both]), spread_of(getattr(full, name)[both]))
-                for name in ("point_mm", "normal_deg")
-            ]
-            figures = [
-                value for first, second in pairs for value in (first.median, second.median, first.rms, second.rms)
-            ]
-            with np.errstate(invalid="ignore"):
-                lost = where & (paper.point_mm < right_mm) & ~full.found()
-            rows.append((case.name, part, int(both.sum()), *figures, 100 * float(lost.sum() / where.sum())))
+            for series in SERIES[1:]:
+                full = case.errors[series]
+                both = where & paper.found() & full.found()
+                pairs = [
+                    (spread_of(getattr(paper, name)[both]), spread_of(getattr(full, name)[both]))
+                    for name in ("point_mm", "normal_deg")
+                ]
+                figures = [
+                    value for first, second in pairs for value in (first.median, second.median, first.rms, second.rms)
+                ]
+                with np.errstate(invalid="ignore"):
+                    lost = where & (paper.point_mm < right_mm) & ~full.found()
+                rows.append((case.name, part, series, int(both.sum()), *figures, 100 * float(lost.sum() / where.sum())))
     note = f"Right: within {RIGHT_FACTOR:g} times the median error of method `paper` with nothing wrong, {right_mm:.3g} mm."
     return StudyTable(title="On the pixels that both have", headings=headings, rows=tuple(rows), note=note)
 

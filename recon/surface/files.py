@@ -11,7 +11,7 @@ from typing import BinaryIO
 
 import numpy as np
 import trimesh
-from jaxtyping import Float32, Float64
+from jaxtyping import Float32, Float64, UInt8
 
 from recon.errors import ReconError
 from recon.surface.mesh import Mesh
@@ -19,6 +19,7 @@ from recon.surface.mesh import Mesh
 CLOUD_NAME, MESH_NAME, GLB_NAME = "cloud.ply", "mesh.ply", "mesh.glb"
 VERTEX = np.dtype([(name, "<f4") for name in ("x", "y", "z", "nx", "ny", "nz")])
 CLOUD_POINT = np.dtype([*VERTEX.descr, ("sd", "<f4")])
+CLOUD_POINT_WITH_SUPPORT = np.dtype([*CLOUD_POINT.descr, ("support", "<f4")])
 FACE = np.dtype([("count", "u1"), ("vertices", "<i4", (3,))])
 
 # Rows turned into records at a time, so that a cloud of any size needs little memory beside its arrays.
@@ -33,11 +34,19 @@ def write_cloud_ply(
     point_mm: Float64[np.ndarray, "points 3"],
     normal: Float64[np.ndarray, "points 3"],
     sd_mm: Float32[np.ndarray, " points"],
+    *,
+    support: UInt8[np.ndarray, " points"] | None = None,
 ) -> None:
-    """Write points with their normals and standard deviations as binary PLY (x y z nx ny nz sd, float32)."""
+    """Write points with their normals and standard deviations as binary PLY (x y z nx ny nz sd, float32).
+
+    ``support``, where it is known, is what each point rests on (:class:`~recon.maps.Support`), as one more float32: readers of
+    points take properties of mixed types apart less surely.
+    """
+    record = CLOUD_POINT if support is None else CLOUD_POINT_WITH_SUPPORT
+    extra = () if support is None else (support[:, None],)
     with _whole_or_absent(path) as file:
-        file.write(_header([("vertex", len(point_mm), _scalars(CLOUD_POINT))]))
-        _write_rows(file, CLOUD_POINT, (point_mm, normal, sd_mm[:, None]))
+        file.write(_header([("vertex", len(point_mm), _scalars(record))]))
+        _write_rows(file, record, (point_mm, normal, sd_mm[:, None], *extra))
 
 
 def write_mesh_ply(path: Path, mesh: Mesh) -> None:

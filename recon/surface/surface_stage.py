@@ -9,9 +9,11 @@ from recon.maps import Maps, Support
 from recon.reconstruct import Crossing
 from recon.sessions.manifest import CameraBody, Manifest
 from recon.status import PixelStatus
+from recon.surface.covering import with_covered
 from recon.surface.fusion import fuse_on_rays
 from recon.surface.integration import integrate_perspective
 from recon.surface.mesh import Mesh, mesh_from_point_map
+from recon.surface.own_paths import OwnPaths
 from recon.surface.path_measurement import PathMeasurement
 from recon.surface.refinement import refine_surface
 from recon.sweeps.correspondence import Method
@@ -31,12 +33,19 @@ class Surface:
     warnings: tuple[str, ...] = ()
 
 
-def surface_of(maps: Maps, crossing: Crossing, manifest: Manifest, *, method: Method) -> Surface:
-    """Make the mesh: normals integrated on the camera's rays (paper), or positions and normals together (full)."""
+def surface_of(
+    maps: Maps, crossing: Crossing, manifest: Manifest, *, method: Method, own: OwnPaths | None = None
+) -> Surface:
+    """Make the mesh: normals integrated on the camera's rays (paper), or positions and normals together (full).
+
+    With the ``own`` paths of pixels that were left out, the surface of method ``full`` covers those that it surrounds.
+    """
     if not maps.valid().any():
         return Surface(maps, None, ("No point was found, so there is no mesh.",))
     if method == "full":
-        return fused_surface(maps, crossing, n_liquid=manifest.n_liquid(), n_air=manifest.n_air)
+        surface = fused_surface(maps, crossing, n_liquid=manifest.n_liquid(), n_air=manifest.n_air)
+        whole = surface if own is None else with_covered(surface, own)
+        return Surface(whole, mesh_from_point_map(whole.point_mm, whole.normal, whole.with_point()))
     return integrated_surface(maps, manifest.camera)
 
 
@@ -59,7 +68,7 @@ def integrated_surface(maps: Maps, camera: CameraBody) -> Surface:
     return Surface(maps, mesh_from_point_map(surface.point_mm, maps.normal, valid))
 
 
-def fused_surface(maps: Maps, crossing: Crossing, *, n_liquid: float, n_air: float) -> Surface:
+def fused_surface(maps: Maps, crossing: Crossing, *, n_liquid: float, n_air: float) -> Maps:
     """Fuse positions and normals on the paths in liquid, then refine points and normals where their neighbours allow it.
 
     Pixels with parallel paths get their point from their neighbours. A pixel's path is the mean over its footprint. Liquid
@@ -102,16 +111,13 @@ def fused_surface(maps: Maps, crossing: Crossing, *, n_liquid: float, n_air: flo
         on_grid(shared, surface_pixel) for shared in (crossing.carried_mm2, crossing.carried_rad2)
     )
     support = np.where(np.isfinite(on_grid(along_sd, has_point)), Support.OWN_CROSSING, Support.NEIGHBOURS_ONLY)
-    return Surface(
-        replace(
-            maps,
-            point_mm=refined.point_mm,
-            normal=refined.normal,
-            sd_mm=np.sqrt(refined.sd_mm**2 + carried_mm2).astype(np.float32),
-            status=status,
-            normal_sd_rad=np.sqrt(refined.normal_sd_rad**2 + carried_rad2).astype(np.float32),
-            across_sd_mm=refined.across_sd_mm.astype(np.float32),
-            support=np.where(covered, support, Support.NONE).astype(np.uint8),
-        ),
-        mesh_from_point_map(refined.point_mm, refined.normal, covered),
+    return replace(
+        maps,
+        point_mm=refined.point_mm,
+        normal=refined.normal,
+        sd_mm=np.sqrt(refined.sd_mm**2 + carried_mm2).astype(np.float32),
+        status=status,
+        normal_sd_rad=np.sqrt(refined.normal_sd_rad**2 + carried_rad2).astype(np.float32),
+        across_sd_mm=refined.across_sd_mm.astype(np.float32),
+        support=np.where(covered, support, Support.NONE).astype(np.uint8),
     )

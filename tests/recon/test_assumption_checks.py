@@ -8,7 +8,7 @@ import pytest
 from traced_session import Mishap, TracedSession, traced_session
 
 from recon.checks.shared_gaps import shared_gaps, with_shared_gaps
-from recon.checks.wet_spots import WetSpot, wet_spots
+from recon.checks.wet_spots import GROWN_PX, WetSpot, spot_pixels, wet_spots
 from recon.reconstruct import Limits, cross_paths
 from recon.registration.registration_stage import registration_of
 from recon.registration.session_slips import SIGNIFICANT_SIGMA
@@ -95,3 +95,17 @@ def test_a_ring_round_gaps_that_neighbours_share_is_one_spot_with_its_inside() -
     (spot,) = wet_spots(sweeps_with({"pos0_liquid": ring}), status, inside)
     assert (spot.row, spot.col) == (20, 12)
     assert spot.pixels == np.count_nonzero(distance < 5)
+
+
+def test_a_spot_of_scattered_odd_pixels_is_left_out_whole_and_with_those_beside_it() -> None:
+    row, col = np.indices(SHAPE)
+    within = (np.abs(row - 20) <= 3) & (np.abs(col - 12) <= 3)
+    # Every third pixel of a bubble shows that something is wrong.
+    odd = within & ((row + col) % 3 == 0)
+    lone = np.zeros(SHAPE, bool)
+    lone[5, 30] = True
+    status = np.where(odd | lone, np.uint8(PixelStatus.GAP_TOO_LARGE), np.uint8(PixelStatus.OK))
+    spot = spot_pixels(sweeps_with({}), status)
+    reach = 3 + GROWN_PX
+    assert spot[within].all()
+    assert not spot[(np.abs(row - 20) > reach) | (np.abs(col - 12) > reach)].any()
