@@ -12,7 +12,14 @@ from recon.bench.bench_session import BenchSession, encoded, quality_of, write_b
 from recon.bench.benchmark import ratio_of_one_more_photo, ratios
 from recon.bench.contestants import DECODING, PAPER, RUNNING, paper_sweep, running_argmax, stack_argmax, sweep_files
 from recon.bench.measurement import measured, own_processes
+from recon.bench.run_scene import radial_error_mm, run_scene
+from recon.errors import ReconError
+from recon.reconstruct import Limits, cross_paths
 from recon.sessions.session import Session, open_session
+from recon.status import PixelStatus
+from recon.sweeps.correspondence import SweepResult
+from recon.sweeps.noise import NoiseModel
+from recon.sweeps.set_places import AXES
 
 COLUMNS, ROWS, PHOTOS = 96, 64, 32
 WANTED_BYTES = (1500.0, 2500.0)
@@ -106,3 +113,37 @@ def _measurement(contestant: str, *, file_mb: float, wall_s: float, photos: int 
         at_start_mb=1.0,
         peak_mb=1.0,
     )
+
+
+def test_the_places_of_the_whole_session_cross_on_the_surface_of_its_scene() -> None:
+    scene = run_scene(columns=COLUMNS, photos=PHOTOS, object_megapixels=2e-3)
+    manifest = scene.manifest
+    shape = (manifest.camera.rows, manifest.camera.columns)
+    lit = np.zeros(shape, dtype=bool)
+    lit.ravel()[scene.pixels] = True
+    sweeps = {}
+    for one in manifest.sets:
+        for axis in AXES:
+            place_px = np.full(shape, np.nan)
+            place_px[lit] = scene.place_px(one, axis)
+            # Beyond the first and the last stripe nothing would be seen.
+            assert 2 < np.nanmin(place_px) < np.nanmax(place_px) < PHOTOS - 3
+            sweeps[one.name, axis] = SweepResult(
+                place_px=place_px,
+                sd_px=np.where(lit, 0.01, np.nan).astype(np.float32),
+                status=np.where(lit, PixelStatus.OK, PixelStatus.UNLIT).astype(np.uint8),
+                noise=NoiseModel(1.0),
+                misfit=np.nan,
+                photos=(),
+                curves=(),
+            )
+    _, crossing = cross_paths(sweeps, manifest, method="full", limits=Limits())
+    fine = crossing.status == PixelStatus.OK
+    assert fine.mean() > 0.9
+    # Places have single precision, 1e-7 of the display's 112 mm, and a crossing at 0.1 rad takes ten times as much.
+    assert np.abs(radial_error_mm(crossing.points.point_mm[fine])).max() < 1e-3
+
+
+def test_an_object_larger_than_the_photo_is_refused() -> None:
+    with pytest.raises(ReconError, match="a photo of 96 x 64 px holds one of"):
+        run_scene(columns=COLUMNS, photos=PHOTOS, object_megapixels=0.004)
