@@ -13,6 +13,8 @@ from recon.sweeps.curve_fits import CurveFits, good_fit, prepared_fits
 from recon.sweeps.curve_samples import SweepCurves
 from recon.sweeps.curve_table import curve_table
 from recon.sweeps.map_scatter import scatter_beyond
+from recon.sweeps.neighbour_places import told_by_neighbours
+from recon.sweeps.stripe_fit import angular_px
 from recon.sweeps.stripe_peak import PeakWindows
 from recon.sweeps.two_paths import unresolved_px
 
@@ -80,6 +82,7 @@ def places_by_likelihood(
     place_px, sd_px, light, chi_square, freedom, width_px = (
         np.full(black.shape, np.nan, dtype=np.float32) for _ in range(6)
     )
+    reach_px = np.full(black.shape, np.nan, dtype=np.float16)
     unresolved: list[tuple[np.ndarray, np.ndarray]] = []
     twice, second_px, second_sd_px, second_width_px = [pixels[:0]], [np.empty(0)], [np.empty(0)], [np.empty(0)]
     for low in range(0, len(pixels), PIXELS_AT_ONCE):
@@ -101,6 +104,8 @@ def places_by_likelihood(
         unsure = unresolved_px(fit, prior)
         unsure[two.rows] = 0.0
         unresolved.append((part[unsure > 0], unsure[unsure > 0].astype(np.float32)))
+        flat = np.exp(prior.log_width) < angular_px(table)
+        reach_px.ravel()[part[flat]] = fits.footprints.box_px[part[flat]].sum(axis=1)
         twice.append(part[two.rows])
         second_px.append(two.second.place_px)
         second_width_px.append(np.exp(two.second.log_width))
@@ -115,6 +120,11 @@ def places_by_likelihood(
     beyond = scatter_beyond(place_px, sd_px, width_px)
     width_px *= np.float32(beyond)
     np.hypot(sd_px, width_px, out=sd_px)
+    del width_px
+    trusted = np.ones(black.shape, dtype=bool)
+    for doubled in (*twice, *(unsure_pixels for unsure_pixels, _ in unresolved)):
+        trusted.ravel()[doubled] = False
+    place_px, sd_px = told_by_neighbours(place_px, sd_px, trusted=trusted, reach_px=reach_px)
     return LikelihoodPlaces(
         place_px=place_px,
         sd_px=sd_px,

@@ -92,7 +92,7 @@ def _fit_block(samples: CurveSamples, prior: WidthPrior, *, table: CurveTable, n
     curve, _, _ = looked_up(samples, start, prior.log_width, shape=prior.shape, table=table)
     amplitude = _Linear(curve, weight, samples.height, _Sums(weight, samples.height, black_weight)).amplitude
     weight = weights_of(np.multiply(amplitude.astype(np.float32), curve, out=curve), samples, noise)
-    angular = np.flatnonzero(np.exp(prior.log_width) < _angular_px(table))
+    angular = np.flatnonzero(np.exp(prior.log_width) < angular_px(table))
     if len(angular) == 0:
         return _walk(samples, start, prior, weight, table=table, noise=noise)
     spread = place_spread(
@@ -138,7 +138,7 @@ def _about_wide_tops(samples: CurveSamples, start: np.ndarray, *, step_px: float
     return start
 
 
-def _angular_px(table: CurveTable) -> float:
+def angular_px(table: CurveTable) -> float:
     """Return the width of a footprint below which curves have flat tops and sharp corners."""
     if not table.continuous:
         return ANGULAR_STEPPED_PX

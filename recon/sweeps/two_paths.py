@@ -27,6 +27,9 @@ SECOND_WIDTH_SD = 1.0
 ROUNDS = 3
 # One pixel in thirty thousand is taken for one with two peaks in one because its curve happens to be wide.
 WIDE_SIGMA = 4.0
+# A curve that holds less than this share of what was known of its width says nothing of it: steps of the walk that are too small
+# to matter would be many of its standard deviations.
+LEAST_INFORMATION = 0.03
 # Stands for a sample that no fit may use, beyond any count.
 LEFT_OUT = 1 << 30
 
@@ -123,7 +126,8 @@ def unresolved_px(fit: StripeFit, prior: WidthPrior) -> Float64[np.ndarray, " pi
     # What the curve alone says of its width differs from the prior by this many of its standard deviations.
     sigma = (fit.log_width - prior.log_width) * np.sqrt((own + precision) * precision / own)
     excess_px2 = np.exp(2 * fit.log_width) - np.exp(2 * prior.log_width)
-    return np.sqrt(np.where(sigma > WIDE_SIGMA, np.maximum(excess_px2, 0.0), 0.0))
+    wide = (sigma > WIDE_SIGMA) & (own > LEAST_INFORMATION * precision)
+    return np.sqrt(np.where(wide, np.maximum(excess_px2, 0.0), 0.0))
 
 
 def _risen(
