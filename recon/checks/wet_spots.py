@@ -19,8 +19,9 @@ from recon.sweeps.correspondence import SweepResult
 
 # A crease or a rim that looks odd in liquid alone is a line of a pixel or two; a bubble is a patch.
 PATCH = np.ones((3, 3), dtype=bool)
-# Not every pixel of a bubble looks odd, but a good part of those about each that does.
-DENSE_PX, DENSE_SHARE = 5, 0.15
+# Not every pixel of a bubble looks odd, but a good part of those about each that does, and more than chance puts together where
+# odd pixels are everywhere.
+DENSE_PX, DENSE_SHARE, DENSE_SIGMA = 5, 0.15, 4.0
 # So far beyond the last odd pixel light still passes the bubble.
 GROWN_PX = 2
 SMALLEST_PX = 9
@@ -77,7 +78,11 @@ def _regions(
         return np.zeros(status.shape, dtype=np.int32), {}
     sound = np.logical_and.reduce(dry)
     bad = sound & (np.logical_or.reduce(wet) | (status == PixelStatus.GAP_TOO_LARGE) | shared)
-    dense = bad & (uniform_filter(bad.astype(np.float64), DENSE_PX, mode="constant") > DENSE_SHARE)
+    local = uniform_filter(bad.astype(np.float64), DENSE_PX, mode="constant")
+    on_object = sound & (status != PixelStatus.BESIDE_OBJECT)
+    typical = float(np.median(local[on_object])) if on_object.any() else 0.0
+    chance = typical + DENSE_SIGMA * np.sqrt(typical * (1 - typical)) / DENSE_PX
+    dense = bad & (local > max(DENSE_SHARE, chance))
     whole = binary_fill_holes(binary_closing(dense, np.ones((DENSE_PX, DENSE_PX), dtype=bool))) & sound
     regions, count = label(whole, PATCH)
     size = np.bincount(regions.ravel(), minlength=count + 1)

@@ -16,6 +16,7 @@ from recon.surface.mesh import Mesh, mesh_from_point_map
 from recon.surface.own_paths import OwnPaths
 from recon.surface.path_measurement import PathMeasurement
 from recon.surface.refinement import refine_surface
+from recon.surface.strays import without_strays
 from recon.sweeps.correspondence import Method
 
 NO_CAMERA = (
@@ -44,7 +45,7 @@ def surface_of(
         return Surface(maps, None, ("No point was found, so there is no mesh.",))
     if method == "full":
         surface = fused_surface(maps, crossing, n_liquid=manifest.n_liquid(), n_air=manifest.n_air)
-        whole = surface if own is None else with_covered(surface, own)
+        whole = surface if own is None else with_covered(without_strays(surface), own)
         return Surface(whole, mesh_from_point_map(whole.point_mm, whole.normal, whole.with_point()))
     return integrated_surface(maps, manifest.camera)
 

@@ -8,6 +8,7 @@ from recon.maps import Maps, Support
 from recon.status import PixelStatus
 from recon.surface.covering import with_covered
 from recon.surface.own_paths import OwnPaths
+from recon.surface.strays import without_strays
 
 SHAPE = (41, 41)
 SPACING_MM, SD_MM, SD_RAD = 0.2, 0.004, 2e-3
@@ -115,3 +116,14 @@ def test_a_hole_whose_own_two_paths_go_elsewhere_stays_open() -> None:
     )
     assert (with_covered(sphere(hole), both).status[hole] == PixelStatus.BAD_FIT).all()
     assert (with_covered(sphere(hole), aside).status[hole] == PixelStatus.COVERED).all()
+
+
+def test_a_point_at_the_rim_that_the_points_within_contradict_is_taken_out_and_no_other() -> None:
+    beyond = np.hypot(ROW - 20, COL - 20) > 15
+    sound = sphere(beyond)
+    assert (without_strays(sound).status == sound.status).all()
+    # A pixel at the rim slid along the surface, as one does whose code is a period off: no gap shows it.
+    row, col = 20, 5
+    sound.point_mm[row, col, 0] += 10 * SD_MM
+    found = without_strays(sound).status != sound.status
+    assert np.argwhere(found).tolist() == [[row, col]]
