@@ -5,15 +5,13 @@ from collections.abc import Mapping
 import numpy as np
 
 from recon.checks.leaning import Lean, lean
-from recon.checks.shared_gaps import shared_gaps
+from recon.checks.shared_gaps import AREA_SHARE, crossed_pixels, shared_gaps
 from recon.checks.wet_spots import WetSpot, wet_spots
 from recon.maps import Maps
 from recon.reconstruct import Crossing
-from recon.status import PixelStatus, StatusMap
+from recon.status import StatusMap
 from recon.sweeps.correspondence import SweepResult
 
-# Gaps that are alike over more of the object than this are no spot.
-SHARED_SHARE = 0.02
 # Sessions in which nothing was wrong lean by up to 5 sd and 0.05 (an ornament of unlike facets), mostly by less than 2 sd.
 LEAN_SIGMA = 8.0
 LEAN_SLOPE = 0.1
@@ -25,10 +23,9 @@ def assumption_doubts(
 ) -> tuple[str, ...]:
     """Return a sentence for each assumption that the session itself contradicts; ``crossed`` is the status before any surface."""
     _, shared = shared_gaps(crossing, shape=(maps.status.shape[0], maps.status.shape[1]))
-    on_object = int(np.count_nonzero(np.isin(crossing.status, (PixelStatus.OK, PixelStatus.GAP_TOO_LARGE))))
-    share = np.count_nonzero(shared) / max(on_object, 1)
+    share = np.count_nonzero(shared) / max(crossed_pixels(crossing), 1)
     doubts = []
-    if share > SHARED_SHARE:
+    if share > AREA_SHARE:
         doubts.append(_shared_sentence(share))
     spots = wet_spots(sweeps, crossed, shared)
     if spots:

@@ -7,7 +7,7 @@ from dataclasses import replace
 
 import numpy as np
 from jaxtyping import Bool, Float64
-from scipy.ndimage import uniform_filter
+from scipy.ndimage import binary_closing, binary_dilation, distance_transform_edt, uniform_filter
 
 from recon.reconstruct import Crossing
 from recon.status import PixelStatus
@@ -21,6 +21,11 @@ LARGEST_SD = 5.0
 # neighbours share (JPEG, display pixels larger than those of the photo) makes up to 7 of the former, and 1.4 of the latter.
 SIGMA = 8.0
 SHARED_SD = 1.7
+
+# Gaps that are alike over more of the object than this are no spot but an area, which is wrong where its gaps are small as well:
+# between parts that stand out, and so far beyond.
+AREA_SHARE = 0.02
+AREA_CLOSED_PX, AREA_GROWN_PX = 9, 3
 
 GridMap = Float64[np.ndarray, "rows cols"]
 
@@ -42,6 +47,20 @@ def shared_gaps(crossing: Crossing, *, shape: tuple[int, int]) -> tuple[GridMap,
     return mean, stands_out
 
 
+def shared_area(crossing: Crossing, *, shape: tuple[int, int]) -> Bool[np.ndarray, "rows cols"]:
+    """Return the area whose gaps neighbours share, whole and with its edge; nothing where only spots stand out."""
+    _, stands_out = shared_gaps(crossing, shape=shape)
+    if np.count_nonzero(stands_out) <= AREA_SHARE * crossed_pixels(crossing):
+        return np.zeros(shape, dtype=bool)
+    closed = binary_closing(stands_out, np.ones((AREA_CLOSED_PX,) * 2, dtype=bool))
+    return binary_dilation(closed | stands_out, np.ones((3, 3), dtype=bool), iterations=AREA_GROWN_PX)
+
+
+def crossed_pixels(crossing: Crossing) -> int:
+    """Return how many pixels have paths that were crossed on the object."""
+    return int(np.count_nonzero(np.isin(crossing.status, (PixelStatus.OK, PixelStatus.GAP_TOO_LARGE))))
+
+
 def with_shared_gaps(crossing: Crossing, *, shape: tuple[int, int], n_liquid: float, n_air: float) -> Crossing:
     """Return the crossings with what neighbours' shared gaps say in the variances that neighbours cannot average out.
 
@@ -49,11 +68,14 @@ def with_shared_gaps(crossing: Crossing, *, shape: tuple[int, int], n_liquid: fl
     gap over the sine of the angle; and turned by the gap over the distance to the display, which turns the normal.
     """
     mean, stands_out = shared_gaps(crossing, shape=shape)
-    off = stands_out.ravel()[crossing.pixels]
+    if not stands_out.any():
+        return crossing
+    # What an area's edge and its inner parts hide is as large as what the nearest part that stands out shows.
+    nearest = distance_transform_edt(~stands_out, return_distances=False, return_indices=True)
+    off = (stands_out | shared_area(crossing, shape=shape)).ravel()[crossing.pixels]
     points = crossing.points
-    shared_mm = np.where(
-        off, np.abs(np.nan_to_num(mean.ravel()[crossing.pixels])) * np.nan_to_num(points.gap_sd_mm), 0.0
-    )
+    shown = np.abs(np.nan_to_num(mean))[tuple(nearest)].ravel()[crossing.pixels]
+    shared_mm = np.where(off, shown * np.nan_to_num(points.gap_sd_mm), 0.0)
     u, v = crossing.liquid.direction, crossing.air.direction
     length = np.linalg.norm(n_liquid * u - n_air * v, axis=1)
     with np.errstate(divide="ignore", invalid="ignore"):

@@ -7,7 +7,7 @@ import numpy as np
 from recon.calibration.calibration_file import read_calibration
 from recon.calibration.session_calibration import calibration_path
 from recon.checks.assumption_check import assumption_doubts
-from recon.checks.shared_gaps import with_shared_gaps
+from recon.checks.shared_gaps import shared_area, with_shared_gaps
 from recon.checks.wet_spots import spot_pixels
 from recon.maps import Maps
 from recon.media.liquid_index import (
@@ -93,14 +93,15 @@ def reconstruct(
     if registration is not None:
         crossing = with_carried(crossing, registration, manifest)
     shape = (manifest.camera.rows, manifest.camera.columns)
-    own = None
+    own, apart = None, None
     before = status.reshape(shape)
     if settings.method == "full":
         status, crossing = without_spots(status, crossing, spot_pixels(sweeps, before))
         crossing = with_shared_gaps(crossing, shape=shape, n_liquid=manifest.n_liquid(), n_air=manifest.n_air)
+        apart = shared_area(crossing, shape=shape)
         own = OwnPaths.of(sweeps, manifest, np.flatnonzero(np.isin(status, COVERABLE)))
     maps = _with_path_count(maps_of(status, crossing, shape=shape, method=settings.method), sweeps, settings)
-    surface = surface_of(maps, crossing, manifest, method=settings.method, own=own)
+    surface = surface_of(maps, crossing, manifest, method=settings.method, own=own, apart=apart)
     ratio: float | None = None
     doubts: tuple[str, ...] = ()
     if settings.method == "full":

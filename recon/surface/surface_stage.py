@@ -15,6 +15,7 @@ from recon.surface.integration import integrate_perspective
 from recon.surface.mesh import Mesh, mesh_from_point_map
 from recon.surface.own_paths import OwnPaths
 from recon.surface.path_measurement import PathMeasurement
+from recon.surface.ray_chords import Mask
 from recon.surface.refinement import refine_surface
 from recon.surface.strays import without_strays
 from recon.sweeps.correspondence import Method
@@ -35,16 +36,23 @@ class Surface:
 
 
 def surface_of(
-    maps: Maps, crossing: Crossing, manifest: Manifest, *, method: Method, own: OwnPaths | None = None
+    maps: Maps,
+    crossing: Crossing,
+    manifest: Manifest,
+    *,
+    method: Method,
+    own: OwnPaths | None = None,
+    apart: Mask | None = None,
 ) -> Surface:
     """Make the mesh: normals integrated on the camera's rays (paper), or positions and normals together (full).
 
-    With the ``own`` paths of pixels that were left out, the surface of method ``full`` covers those that it surrounds.
+    With the ``own`` paths of pixels that were left out, the surface of method ``full`` covers those that it surrounds. Pixels
+    that are ``apart`` have a surface of their own, so that what is wrong with them does not reach the others.
     """
     if not maps.valid().any():
         return Surface(maps, None, ("No point was found, so there is no mesh.",))
     if method == "full":
-        surface = fused_surface(maps, crossing, n_liquid=manifest.n_liquid(), n_air=manifest.n_air)
+        surface = _fused_apart(maps, crossing, apart, n_liquid=manifest.n_liquid(), n_air=manifest.n_air)
         whole = surface if own is None else with_covered(without_strays(surface), own)
         return Surface(whole, mesh_from_point_map(whole.point_mm, whole.normal, whole.with_point()))
     return integrated_surface(maps, manifest.camera)
@@ -67,6 +75,22 @@ def integrated_surface(maps: Maps, camera: CameraBody) -> Surface:
         integration="discrete",
     )
     return Surface(maps, mesh_from_point_map(surface.point_mm, maps.normal, valid))
+
+
+def _fused_apart(maps: Maps, crossing: Crossing, apart: Mask | None, *, n_liquid: float, n_air: float) -> Maps:
+    """Fuse all pixels, and the others without those that are ``apart``, which lean on them but must not pull them."""
+    whole = fused_surface(maps, crossing, n_liquid=n_liquid, n_air=n_air)
+    if apart is None or not apart.any():
+        return whole
+    there = apart.ravel()[crossing.pixels]
+    others = replace(crossing, status=np.where(there, np.uint8(PixelStatus.MASKED_OUT), crossing.status))
+    rest = fused_surface(maps, others, n_liquid=n_liquid, n_air=n_air)
+    names = ("point_mm", "normal", "sd_mm", "status", "normal_sd_rad", "across_sd_mm", "support")
+    joined = {}
+    for name in names:
+        inside, outside = getattr(whole, name), getattr(rest, name)
+        joined[name] = np.where(apart if inside.ndim == 2 else apart[..., None], inside, outside)
+    return replace(maps, **joined)
 
 
 def fused_surface(maps: Maps, crossing: Crossing, *, n_liquid: float, n_air: float) -> Maps:

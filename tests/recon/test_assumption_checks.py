@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 from traced_session import Mishap, TracedSession, traced_session
 
-from recon.checks.shared_gaps import shared_gaps, with_shared_gaps
+from recon.checks.shared_gaps import shared_area, shared_gaps, with_shared_gaps
 from recon.checks.wet_spots import GROWN_PX, WetSpot, spot_pixels, wet_spots
 from recon.reconstruct import Limits, cross_paths
 from recon.registration.registration_stage import registration_of
@@ -52,10 +52,16 @@ def test_light_that_enters_again_is_no_slip_of_the_display_and_widens_the_standa
     shape = (scene.camera.rows, scene.camera.columns)
     _, shared = shared_gaps(crossing, shape=shape)
     found = with_shared_gaps(crossing, shape=shape, n_liquid=1.3355, n_air=1.0)
-    np.testing.assert_array_equal(found.carried_mm2 > 0, shared.ravel()[crossing.pixels])
+    area = shared_area(crossing, shape=shape)
+    np.testing.assert_array_equal(found.carried_mm2 > 0, (shared | area).ravel()[crossing.pixels])
     # The slot is on the side x > 0: the photo's right half, and it ends at the axis.
     assert not shared[:, : shape[1] // 2 - 3].any()
     assert shared[:, shape[1] // 2 + 3 :].sum() > 300
+    # The other half is not pulled: its points stand off the dome by no more than they say.
+    maps = outcome_of(session).maps
+    other = maps.valid() & ~area & (np.arange(shape[1]) < shape[1] // 2 - 3)
+    off = np.abs(np.linalg.norm(maps.point_mm[other], axis=1) - 27.99) / maps.sd_mm[other]
+    assert np.mean(off > 3) < 0.01
 
 
 SHAPE = (40, 40)
