@@ -28,6 +28,9 @@ PARABOLA_SD_PX = 0.17
 CHOICES: tuple[tuple[str, ...], ...] = ((), ("air",), ("liquid",), ("air", "liquid"))
 
 
+CROSSING_VECTORS = ("pixels", "normal", "normal_sd_rad", "carried_mm2", "carried_rad2", "status")
+
+
 @dataclass(frozen=True, slots=True)
 class Limits:
     """The tests that a point must pass. Angles in rad; lengths in mm; the sigmas are in standard deviations.
@@ -58,6 +61,13 @@ class Crossing:
     carried_mm2: np.ndarray
     carried_rad2: np.ndarray
     status: np.ndarray  # of the listed pixels
+
+    def some(self, rows: np.ndarray) -> "Crossing":
+        """Return some rows of the list."""
+        vectors = {name: getattr(self, name)[rows] for name in CROSSING_VECTORS}
+        return Crossing(
+            liquid=self.liquid.some(rows), air=self.air.some(rows), points=self.points.some(rows), **vectors
+        )
 
 
 def cross_paths(

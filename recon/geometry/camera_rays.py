@@ -3,7 +3,7 @@
 import numpy as np
 from jaxtyping import Float64
 
-from recon.geometry.light_paths import LightPaths
+from recon.geometry.light_paths import LightPaths, ScreenNoise
 from recon.sessions.manifest import Pose
 
 
@@ -22,12 +22,12 @@ def camera_rays(
         with np.errstate(divide="ignore", invalid="ignore"):
             distance.append(((place - centre_mm) @ away) / (ray @ away))
     near, far = np.minimum(*distance), np.maximum(*distance)
-    nothing = np.zeros((len(ray), 3, 3))
+    nothing = ScreenNoise(np.zeros((len(ray), 2)), np.eye(3)[:, :2])
     return LightPaths(
         near_mm=centre_mm + near[:, None] * ray,
         far_mm=centre_mm + far[:, None] * ray,
         direction=-ray,
         baseline_mm=far - near,
-        near_covariance=nothing,
-        far_covariance=nothing,
+        near_noise=nothing,
+        far_noise=nothing,
     )

@@ -13,6 +13,7 @@ from recon.geometry.light_paths import LightPaths
 
 # sin² of the angle below which two lines have no crossing in double precision.
 PARALLEL = 1e-18
+PIXELS_AT_ONCE = 1 << 17
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -32,13 +33,33 @@ class EntryPoints:
     angle_sd_rad: Float64[np.ndarray, " pixels"]
     covariance: Float64[np.ndarray, "pixels 3 3"]
 
+    def some(self, pixels: np.ndarray | slice) -> "EntryPoints":
+        """Return the crossings of some of the pixels."""
+        return EntryPoints(*(getattr(self, name)[pixels] for name in EntryPoints.__slots__))
+
 
 def entry_points(liquid: LightPaths, air: LightPaths, *, weighted: bool) -> EntryPoints:
-    """Cross the two paths of each pixel.
+    """Cross the two paths of each pixel, some at a time: what is made on the way takes more memory than what comes out.
 
     The paper takes the middle of the shortest segment between them; ``weighted`` divides that segment by the two
     paths' variances instead. Parallel paths give NaN.
     """
+    count = len(liquid.direction)
+    if count <= PIXELS_AT_ONCE:
+        return _entry_points(liquid, air, weighted=weighted)
+    result: EntryPoints | None = None
+    for low in range(0, count, PIXELS_AT_ONCE):
+        rows = slice(low, low + PIXELS_AT_ONCE)
+        part = _entry_points(liquid.some(rows), air.some(rows), weighted=weighted)
+        values = [getattr(part, name) for name in EntryPoints.__slots__]
+        result = result or EntryPoints(*(np.empty((count, *one.shape[1:])) for one in values))
+        for name, one in zip(EntryPoints.__slots__, values, strict=True):
+            getattr(result, name)[rows] = one
+    assert result is not None
+    return result
+
+
+def _entry_points(liquid: LightPaths, air: LightPaths, *, weighted: bool) -> EntryPoints:
     u, v = liquid.direction, air.direction
     cross = np.cross(u, v)
     sine_squared = (cross**2).sum(1)

@@ -64,6 +64,6 @@ def paths_inside(visual: LightPaths, face: FlatFace, *, n_object: float, n_air: 
         far_mm=near - visual.baseline_mm[:, None] * inside,
         direction=inside,
         baseline_mm=visual.baseline_mm,
-        near_covariance=visual.near_covariance,
-        far_covariance=visual.far_covariance,
+        near_noise=visual.near_noise,
+        far_noise=visual.far_noise,
     )

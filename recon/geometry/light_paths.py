@@ -14,19 +14,56 @@ from recon.sessions.manifest import CoverGlass, Pose
 
 
 @dataclass(frozen=True, slots=True, eq=False)
+class ScreenNoise:
+    """Noise of points on a display: independent standard deviations along its two axes [3, 2], unit vectors in the world.
+
+    A covariance matrix a point would take four times the memory.
+    """
+
+    sd_mm: Float64[np.ndarray, "pixels 2"]
+    axes: Float64[np.ndarray, "3 2"]
+
+    def __getitem__(self, pixels: np.ndarray | slice) -> "ScreenNoise":
+        """Return that of some of the points."""
+        return ScreenNoise(self.sd_mm[pixels], self.axes)
+
+    def covariance(self) -> Float64[np.ndarray, "pixels 3 3"]:
+        """Return the covariances in mm²."""
+        return np.einsum("ia,pa,ja->pij", self.axes, self.sd_mm**2, self.axes)
+
+    def drawn(self, rng: np.random.Generator) -> Float64[np.ndarray, "pixels 3"]:
+        """Draw one error a point."""
+        return (self.sd_mm * rng.standard_normal(self.sd_mm.shape)) @ self.axes.T
+
+
+@dataclass(frozen=True, slots=True, eq=False)
 class LightPaths:
     """One line a pixel, through ``near_mm`` and ``far_mm`` (the display nearer to, and farther from, the camera).
 
-    ``direction`` is the unit vector from far to near: towards the object. ``near_covariance`` and ``far_covariance``
-    [pixels, 3, 3] in mm² are those of the two display points.
+    ``direction`` is the unit vector from far to near: towards the object. ``near_noise`` and ``far_noise`` are those of the two
+    display points.
     """
 
     near_mm: Float64[np.ndarray, "pixels 3"]
     far_mm: Float64[np.ndarray, "pixels 3"]
     direction: Float64[np.ndarray, "pixels 3"]
     baseline_mm: Float64[np.ndarray, " pixels"]
-    near_covariance: Float64[np.ndarray, "pixels 3 3"]
-    far_covariance: Float64[np.ndarray, "pixels 3 3"]
+    near_noise: ScreenNoise
+    far_noise: ScreenNoise
+
+    @property
+    def near_covariance(self) -> Float64[np.ndarray, "pixels 3 3"]:
+        """Covariances of the nearer display points in mm²."""
+        return self.near_noise.covariance()
+
+    @property
+    def far_covariance(self) -> Float64[np.ndarray, "pixels 3 3"]:
+        """Covariances of the farther display points in mm²."""
+        return self.far_noise.covariance()
+
+    def some(self, pixels: np.ndarray | slice) -> "LightPaths":
+        """Return the paths of some of the pixels."""
+        return LightPaths(*(getattr(self, name)[pixels] for name in LightPaths.__slots__))
 
     def point_at(self, distance_mm: Float64[np.ndarray, " pixels"]) -> Float64[np.ndarray, "pixels 3"]:
         """Return the point at a distance beyond the nearer display, towards the object."""
@@ -68,8 +105,8 @@ def light_paths(
         far_mm=far,
         direction=span / baseline[:, None],
         baseline_mm=baseline,
-        near_covariance=_in_plane_covariance(sd_mm[order[0]], transforms[order[0]]),
-        far_covariance=_in_plane_covariance(sd_mm[order[1]], transforms[order[1]]),
+        near_noise=ScreenNoise(sd_mm[order[0]], transforms[order[0]][:3, :2]),
+        far_noise=ScreenNoise(sd_mm[order[1]], transforms[order[1]][:3, :2]),
     )
 
 
@@ -81,11 +118,6 @@ def nearer_first(poses: tuple[Pose, Pose]) -> tuple[int, int]:
 
 def _to_world(screen_mm: np.ndarray, world_from_screen: np.ndarray) -> np.ndarray:
     return screen_mm @ world_from_screen[:3, :2].T + world_from_screen[:3, 3]
-
-
-def _in_plane_covariance(sd_mm: np.ndarray, world_from_screen: np.ndarray) -> np.ndarray:
-    axes = world_from_screen[:3, :2]
-    return np.einsum("ia,pa,ja->pij", axes, sd_mm**2, axes)
 
 
 def _through_glass(

@@ -6,7 +6,6 @@ from dataclasses import replace
 import numpy as np
 
 from recon.geometry.entry_point import crossing_by_liquid
-from recon.geometry.light_paths import LightPaths
 from recon.metrics import DisplayMotion, RegistrationRecord
 from recon.reconstruct import Crossing
 from recon.registration.gap_fit import MotionCovariance
@@ -62,10 +61,7 @@ def with_carried(crossing: Crossing, registration: Registration, manifest: Manif
     poses = wet_poses(manifest)
     for start in range(0, len(crossing.pixels), CHUNK_PIXELS):
         part = slice(start, start + CHUNK_PIXELS)
-        liquid, air = cut(crossing.liquid, part), cut(crossing.air, part)
-        points = type(crossing.points)(
-            **{name: getattr(crossing.points, name)[part] for name in crossing.points.__slots__}
-        )
+        liquid, air, points = crossing.liquid.some(part), crossing.air.some(part), crossing.points.some(part)
         near, far = motion_shifts(liquid, poses)
         lever = (points.distance_liquid_mm / liquid.baseline_mm)[:, None, None]
         point = crossing_by_liquid(liquid, air, points) @ ((1 + lever) * near - lever * far)
@@ -109,8 +105,3 @@ def record_of(registration: Registration) -> RegistrationRecord:
         gap_after=fit.gap_after,
         motions=(motions[0], motions[1]),
     )
-
-
-def cut(paths: LightPaths, part: slice) -> LightPaths:
-    """Return some of the paths."""
-    return LightPaths(**{name: getattr(paths, name)[part] for name in LightPaths.__slots__})

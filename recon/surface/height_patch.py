@@ -1,6 +1,7 @@
 """A tile's surface as heights over its own plane: a polynomial about every pixel, and where the pixel's sight meets it."""
 
 from dataclasses import dataclass
+from functools import cache
 
 import cv2
 import numpy as np
@@ -23,6 +24,7 @@ BIAS_WINDOW_PX = 17
 # The tilts of a window nine pixels wide are alike over it, so that more of them are needed for their variance.
 TILT_WINDOW_PX = 17
 NEWTON_STEPS = 4
+LARGEST_SQUARE = float(chi2.isf(REJECTED_SHARE, 1))
 # A window three pixels wide bends through a crease without a residual, but not without turning three of nine normals.
 CREASE_SHARE = 1 / 3 - 1e-6
 
@@ -169,11 +171,17 @@ def own_slopes(normal: VectorMap, mask: Mask) -> Slopes:
 
 def like_noise(fit: WindowFit, mask: Mask) -> Mask:
     """Tell where the heights leave no more than their own noise does, which the draws show."""
-    freedom = INDEPENDENT_SHARE * np.maximum(fit.count - 6, 1)
     expected = standard_deviation(np.sqrt(fit.misfit[1:]), mask) ** 2
-    largest = chi2.isf(REJECTED_SHARE, freedom) / freedom
+    largest = _largest_share(int(fit.count.max(initial=0)))[fit.count.astype(np.int64)]
     with np.errstate(invalid="ignore"):
         return (fit.count >= 8) & (fit.misfit[0] <= largest * expected)
+
+
+@cache
+def _largest_share(most: int) -> Float64[np.ndarray, " counts"]:
+    """Return the largest misfit over the expected one of a smooth window, by the places that it uses, 0 to ``most``."""
+    freedom = INDEPENDENT_SHARE * np.maximum(np.arange(most + 1) - 6, 1)
+    return np.asarray(chi2.isf(REJECTED_SHARE, freedom) / freedom)
 
 
 def against_own_normals(fitted: VectorMap, measured: VectorMap, measured_sd_rad: ScalarMap) -> Mask:
@@ -183,6 +191,6 @@ def against_own_normals(fitted: VectorMap, measured: VectorMap, measured_sd_rad:
     """
     turned_squared = ((fitted - measured) ** 2).sum(axis=2)
     with np.errstate(invalid="ignore"):
-        against = turned_squared > chi2.isf(REJECTED_SHARE, 1) * measured_sd_rad**2
+        against = turned_squared > LARGEST_SQUARE * measured_sd_rad**2
     share = cv2.boxFilter(against.astype(np.float64), cv2.CV_64F, (3, 3), borderType=cv2.BORDER_CONSTANT)
     return against & (share >= CREASE_SHARE)

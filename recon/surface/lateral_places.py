@@ -1,6 +1,7 @@
 """Where each pixel looks, across the mean line of sight: smoothed as far as the paths' own noise explains the residuals."""
 
 from dataclasses import dataclass
+from functools import cache
 
 import numpy as np
 from jaxtyping import Float64
@@ -58,13 +59,21 @@ def lateral_places(
             for half_width in HALF_WIDTHS_PX:
                 fit = fit_windows(columns, rows, centred[None], here, half_width=half_width)
                 freedom = fit.count - 6
-                held &= (freedom >= 3) & (fit.misfit[0] < chi2.isf(REJECTED_SHARE, np.maximum(freedom, 1)))
+                held &= (freedom >= 3) & (
+                    fit.misfit[0] < _largest_misfit(half_width)[np.maximum(freedom, 1).astype(np.int64)]
+                )
                 found = (fit.value(columns, rows)[0] + middle)[inner]
                 spread = fit.value_variance(columns, rows)[inner]
                 better = held[inner] & (spread < left[axis][core])
                 place[axis][core] = np.where(better, found, place[axis][core])
                 left[axis][core] = np.where(better, spread, left[axis][core])
     return LateralPlaces(place, left, axes)
+
+
+@cache
+def _largest_misfit(half_width: int) -> Float64[np.ndarray, " freedoms"]:
+    """Return the largest misfit of a smooth window, by its degrees of freedom, of which 0 is none."""
+    return np.concatenate([[0.0], chi2.isf(REJECTED_SHARE, np.arange(1, (2 * half_width + 1) ** 2 + 1))])
 
 
 def along_surface(

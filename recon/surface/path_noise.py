@@ -42,30 +42,7 @@ def _path_error(
     paths: LightPaths, distance_mm: Float64[np.ndarray, " pixels"], rng: np.random.Generator
 ) -> tuple[Vectors, Vectors]:
     """Draw by how much each path is shifted at a distance, and by how much its direction turns."""
-    near, far = (_drawn(covariance, rng) for covariance in (paths.near_covariance, paths.far_covariance))
+    near, far = paths.near_noise.drawn(rng), paths.far_noise.drawn(rng)
     slope = (near - far) / paths.baseline_mm[:, None]
     turn = slope - (slope * paths.direction).sum(axis=1, keepdims=True) * paths.direction
     return near + distance_mm[:, None] * slope, turn
-
-
-def _drawn(covariance: Float64[np.ndarray, "pixels 3 3"], rng: np.random.Generator) -> Vectors:
-    """Draw one vector a pixel with this covariance, by Cholesky's factor, which may have zero pivots."""
-    z = rng.standard_normal((len(covariance), 3))
-    c = covariance
-    first = np.sqrt(np.maximum(c[:, 0, 0], 0.0))
-    second_first, third_first = _ratio(c[:, 1, 0], first), _ratio(c[:, 2, 0], first)
-    second = np.sqrt(np.maximum(c[:, 1, 1] - second_first**2, 0.0))
-    third_second = _ratio(c[:, 2, 1] - second_first * third_first, second)
-    third = np.sqrt(np.maximum(c[:, 2, 2] - third_first**2 - third_second**2, 0.0))
-    return np.stack(
-        [
-            first * z[:, 0],
-            second_first * z[:, 0] + second * z[:, 1],
-            third_first * z[:, 0] + third_second * z[:, 1] + third * z[:, 2],
-        ],
-        axis=1,
-    )
-
-
-def _ratio(value: np.ndarray, pivot: np.ndarray) -> np.ndarray:
-    return np.divide(value, pivot, out=np.zeros_like(value), where=pivot > 0)

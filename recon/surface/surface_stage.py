@@ -6,6 +6,7 @@ import numpy as np
 
 from recon.geometry.sight import sight_rays
 from recon.maps import Maps, Support
+from recon.photo_window import PhotoWindow
 from recon.reconstruct import Crossing
 from recon.sessions.manifest import CameraBody, Manifest
 from recon.status import PixelStatus
@@ -20,6 +21,8 @@ from recon.surface.refinement import refine_surface
 from recon.surface.strays import without_strays
 from recon.sweeps.correspondence import Method
 
+# No window of pixels that fusion and refinement look at reaches farther.
+MARGIN_PX = 16
 NO_CAMERA = (
     "The camera's place or intrinsics are not in the manifest, so normals could not be integrated on its rays; "
     "the mesh joins the points themselves."
@@ -96,22 +99,68 @@ def _fused_apart(maps: Maps, crossing: Crossing, apart: Mask | None, *, n_liquid
 def fused_surface(maps: Maps, crossing: Crossing, *, n_liquid: float, n_air: float) -> Maps:
     """Fuse positions and normals on the paths in liquid, then refine points and normals where their neighbours allow it.
 
-    Pixels with parallel paths get their point from their neighbours. A pixel's path is the mean over its footprint. Liquid
-    bends light less than air at the same surface, so its mean path runs closer to the path of the pixel's centre, above all near
-    total reflection.
+    Pixels with parallel paths get their point from their neighbours. All of it happens in the part of the photo that holds the
+    surface.
     """
-    shape = maps.status.shape
     surface_pixel = np.isin(crossing.status, (PixelStatus.OK, PixelStatus.PARALLEL_PATHS))
+    inner = crossing.some(surface_pixel)
+    shape = (maps.status.shape[0], maps.status.shape[1])
+    window = PhotoWindow.about(inner.pixels, shape, margin_px=MARGIN_PX)
+    found = _fused(replace(inner, pixels=window.numbers(inner.pixels)), window.shape, n_liquid=n_liquid, n_air=n_air)
+    status = maps.status.copy()
+    surface = status[window.part]
+    lost = (surface == PixelStatus.OK) & ~found.covered
+    surface[found.covered] = PixelStatus.OK
+    surface[lost] = np.where(found.outlier[lost], PixelStatus.STANDS_ALONE, PixelStatus.PARALLEL_PATHS)
+
+    def on_photo(values: np.ndarray, dtype: type, nothing: float = np.nan) -> np.ndarray:
+        whole = np.full((*shape, *values.shape[2:]), nothing, dtype=dtype)
+        whole[window.part] = values
+        return whole
+
+    return replace(
+        maps,
+        point_mm=on_photo(found.point_mm, np.float64),
+        normal=on_photo(found.normal, np.float64),
+        sd_mm=on_photo(found.sd_mm, np.float32),
+        status=status,
+        normal_sd_rad=on_photo(found.normal_sd_rad, np.float32),
+        across_sd_mm=on_photo(found.across_sd_mm, np.float32),
+        support=on_photo(found.support, np.uint8, float(Support.NONE)),
+    )
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class _Fused:
+    """What was found in a window: NaN where nothing is ``covered``; ``outlier`` pixels agree with none about them."""
+
+    point_mm: np.ndarray
+    normal: np.ndarray
+    sd_mm: np.ndarray
+    normal_sd_rad: np.ndarray
+    across_sd_mm: np.ndarray
+    support: np.ndarray
+    covered: np.ndarray
+    outlier: np.ndarray
+
+
+def _fused(crossing: Crossing, shape: tuple[int, int], *, n_liquid: float, n_air: float) -> _Fused:
+    """Fuse the crossings, all of which are of the surface.
+
+    A pixel's path is the mean over its footprint. Liquid bends light less than air at the same surface, so its mean path runs
+    closer to the path of the pixel's centre, above all near total reflection.
+    """
+    everywhere = np.ones(len(crossing.pixels), dtype=bool)
     has_point = crossing.status == PixelStatus.OK
     liquid, points = crossing.liquid, crossing.points
     along_sd = np.sqrt(np.einsum("pi,pij,pj->p", liquid.direction, points.covariance, liquid.direction))
-    paths = PathMeasurement.of(crossing, surface_pixel, shape=(shape[0], shape[1]), n_liquid=n_liquid, n_air=n_air)
+    paths = PathMeasurement.of(crossing, everywhere, shape=shape, n_liquid=n_liquid, n_air=n_air)
     on_grid = paths.on_grid
-    direction = on_grid(liquid.direction, surface_pixel)
-    normal_sd_rad = on_grid(crossing.normal_sd_rad, surface_pixel)
+    direction = on_grid(liquid.direction, everywhere)
+    normal_sd_rad = on_grid(crossing.normal_sd_rad, everywhere)
     normal = paths.normal_map
     fused = fuse_on_rays(
-        on_grid(liquid.near_mm, surface_pixel),
+        on_grid(liquid.near_mm, everywhere),
         direction,
         on_grid(points.distance_liquid_mm, has_point),
         on_grid(along_sd, has_point),
@@ -123,26 +172,23 @@ def fused_surface(maps: Maps, crossing: Crossing, *, n_liquid: float, n_air: flo
     )
     distance = np.nan_to_num(fused.distance_mm.ravel()[crossing.pixels])
     refined = refine_surface(
-        fused, direction, normal, normal_sd_rad, on_grid(liquid.covariance_at(distance), surface_pixel)
+        fused, direction, normal, normal_sd_rad, on_grid(liquid.covariance_at(distance), everywhere)
     )
     covered = np.isfinite(refined.point_mm).all(axis=2) & ~fused.outlier
     for values in (refined.point_mm, refined.normal, refined.sd_mm, refined.normal_sd_rad, refined.across_sd_mm):
         values[~covered] = np.nan
-    status = np.where(covered, np.uint8(PixelStatus.OK), maps.status)
-    lost = (status == PixelStatus.OK) & ~covered
-    status[lost] = np.where(fused.outlier[lost], PixelStatus.STANDS_ALONE, PixelStatus.PARALLEL_PATHS)
     # What all pixels share does not go away by asking neighbours.
     carried_mm2, carried_rad2 = (
-        on_grid(shared, surface_pixel) for shared in (crossing.carried_mm2, crossing.carried_rad2)
+        on_grid(shared, everywhere) for shared in (crossing.carried_mm2, crossing.carried_rad2)
     )
     support = np.where(np.isfinite(on_grid(along_sd, has_point)), Support.OWN_CROSSING, Support.NEIGHBOURS_ONLY)
-    return replace(
-        maps,
+    return _Fused(
         point_mm=refined.point_mm,
         normal=refined.normal,
-        sd_mm=np.sqrt(refined.sd_mm**2 + carried_mm2).astype(np.float32),
-        status=status,
-        normal_sd_rad=np.sqrt(refined.normal_sd_rad**2 + carried_rad2).astype(np.float32),
-        across_sd_mm=refined.across_sd_mm.astype(np.float32),
-        support=np.where(covered, support, Support.NONE).astype(np.uint8),
+        sd_mm=np.sqrt(refined.sd_mm**2 + carried_mm2),
+        normal_sd_rad=np.sqrt(refined.normal_sd_rad**2 + carried_rad2),
+        across_sd_mm=refined.across_sd_mm,
+        support=np.where(covered, support, Support.NONE),
+        covered=covered,
+        outlier=fused.outlier,
     )

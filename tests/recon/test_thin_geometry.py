@@ -5,7 +5,7 @@ import pytest
 
 from recon.geometry.entry_point import entry_points
 from recon.geometry.flat_face import inner_directions, points_on_face
-from recon.geometry.light_paths import LightPaths
+from recon.geometry.light_paths import LightPaths, ScreenNoise
 from recon.geometry.normals import normals_from_paths
 
 N_GLASS = 1.7
@@ -103,8 +103,8 @@ def test_inner_ray_crosses_the_path_outside_in_the_surface_point() -> None:
     direction = inner_directions(-ray, **flat, n_object=N_GLASS, n_air=1.0)
 
     def paths(far: np.ndarray, towards: np.ndarray) -> LightPaths:
-        covariance = np.broadcast_to(np.eye(3), (len(far), 3, 3)).copy()
-        return LightPaths(far + 10 * towards, far, towards, np.full(len(far), 10.0), covariance, covariance)
+        noise = ScreenNoise(np.ones((len(far), 2)), np.eye(3)[:, :2])
+        return LightPaths(far + 10 * towards, far, towards, np.full(len(far), 10.0), noise, noise)
 
     crossed = entry_points(paths(start, direction), paths(surface + 20 * outside, -outside), weighted=False)
     assert np.abs(crossed.point_mm - surface).max() < 1e-9
