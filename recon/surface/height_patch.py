@@ -96,18 +96,18 @@ def patch_of(
         point = place.start + along[..., None] * sight
         height = fit.value(point[..., 0], point[..., 1])
         slopes = fit.slopes(point[..., 0], point[..., 1])
-        rate = sight[2] - slopes[0][0] * sight[0] - slopes[1][0] * sight[1]
+        rate = sight[2] - slopes[0] * sight[0] - slopes[1] * sight[1]
         rate = np.where(np.abs(rate) > 1e-3, rate, np.copysign(1e-3, rate))
-        along = along + (height[0] - point[..., 2]) / rate
+        along = along + (height - point[..., 2]) / rate
     point = place.start + along[..., None] * sight
-    upward = np.stack([-slopes[0][0], -slopes[1][0], np.ones(mask.shape)], axis=-1)
+    upward = np.stack([-slopes[0], -slopes[1], np.ones(mask.shape)], axis=-1)
     length = np.linalg.norm(upward, axis=-1)
     normal = upward / length[..., None]
     facing = normal @ sight
     facing = np.where(np.abs(facing) > 1e-3, facing, 1e-3)
     # How the point and the normal move when the lateral place does.
     moves = [axis - (normal @ axis / facing)[..., None] * sight for axis in place.across]
-    twice = fit.coefficients[0]
+    twice = fit.coefficients
     turn_variance, slide_variance = np.zeros(mask.shape), np.zeros(mask.shape)
     for move, variance in zip(moves, place.variance, strict=True):
         slide_variance += variance * (move**2).sum(axis=-1)
@@ -115,10 +115,11 @@ def patch_of(
         bend_q = twice[4] * move[..., 0] + 2 * twice[5] * move[..., 1]
         turn_variance += variance * _tilt_squared(bend_p, bend_q, normal, length)
     # A window at a rim is less sure of its slopes than one inside: what is alike is the noise, in units of that.
-    geometry = np.sqrt(fit.slope_variance(point[..., 0], point[..., 1]))
-    tilts = np.sqrt(_tilt_squared(slopes[0][1:], slopes[1][1:], normal, length)) / geometry
-    lifted = standard_deviation(height[1:], mask) / length
-    now = np.stack([slopes[0][0], slopes[1][0]])
+    slope_p, slope_q, slope_variance = fit.drawn_slopes(point[..., 0], point[..., 1])
+    geometry = np.sqrt(slope_variance)
+    tilts = np.sqrt(_tilt_squared(slope_p, slope_q, normal, length)) / geometry
+    lifted = standard_deviation(fit.drawn_values(point[..., 0], point[..., 1]), mask) / length
+    now = np.stack(slopes)
     bias_squared = whole_bias**2 * _bias_squared(now - before, mask, normal, length)
     noise_squared = turn_variance + (geometry * standard_deviation(tilts, mask, window_px=TILT_WINDOW_PX)) ** 2
     patch = Patch(
@@ -171,10 +172,10 @@ def own_slopes(normal: VectorMap, mask: Mask) -> Slopes:
 
 def like_noise(fit: WindowFit, mask: Mask) -> Mask:
     """Tell where the heights leave no more than their own noise does, which the draws show."""
-    expected = standard_deviation(np.sqrt(fit.misfit[1:]), mask) ** 2
+    expected = standard_deviation(np.sqrt(fit.drawn_misfit), mask) ** 2
     largest = _largest_share(int(fit.count.max(initial=0)))[fit.count.astype(np.int64)]
     with np.errstate(invalid="ignore"):
-        return (fit.count >= 8) & (fit.misfit[0] <= largest * expected)
+        return (fit.count >= 8) & (fit.misfit <= largest * expected)
 
 
 @cache

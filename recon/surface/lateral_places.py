@@ -49,6 +49,7 @@ def lateral_places(
     for core, wide in tiles(used, border=max(HALF_WIDTHS_PX)):
         inner = inside(core, wide)
         rows, columns = _grid(wide)
+        nothing = np.empty((0, *rows.shape))
         for axis in (0, 1):
             here, values = weight[axis][wide], measured[axis][wide]
             if not here.any():
@@ -57,12 +58,12 @@ def lateral_places(
             middle = values - centred
             held = here > 0
             for half_width in HALF_WIDTHS_PX:
-                fit = fit_windows(columns, rows, centred[None], here, half_width=half_width)
+                fit = fit_windows(columns, rows, centred, nothing, here, half_width=half_width)
                 freedom = fit.count - 6
                 held &= (freedom >= 3) & (
-                    fit.misfit[0] < _largest_misfit(half_width)[np.maximum(freedom, 1).astype(np.int64)]
+                    fit.misfit < _largest_misfit(half_width)[np.maximum(freedom, 1).astype(np.int64)]
                 )
-                found = (fit.value(columns, rows)[0] + middle)[inner]
+                found = (fit.value(columns, rows) + middle)[inner]
                 spread = fit.value_variance(columns, rows)[inner]
                 better = held[inner] & (spread < left[axis][core])
                 place[axis][core] = np.where(better, found, place[axis][core])

@@ -119,14 +119,13 @@ def _refine_tile(
     # An error of the distance lifts the surface along its normal; over the tile's plane it is that much higher.
     lift = (direction[wide] * normal[wide]).sum(axis=2) / np.where(fit_here, cosine, 1.0)
     errors = np.where(fit_here, fused.distance_error_mm[(slice(None), *wide)] * lift / unit_mm, 0.0)
-    fields = np.concatenate([local[None, ..., 2], errors])
     weight = fit_here.astype(np.float64)
     place = Sight.of(lateral, wide, middle_mm=middle, unit_mm=unit_mm, frame=frame)
     held = fit_here.copy()
     tilted = normal[wide] @ frame.T
     before = own_slopes(tilted, fit_here)
     for smaller, half_width in pairwise((0, *HALF_WIDTHS_PX)):
-        fit = fit_windows(local[..., 0], local[..., 1], fields, weight, half_width=half_width)
+        fit = fit_windows(local[..., 0], local[..., 1], local[..., 2], errors, weight, half_width=half_width)
         held &= like_noise(fit, fit_here)
         patch, before = patch_of(fit, place, fit_here, before, whole_bias=whole_bias(half_width, smaller))
         held &= ~against_own_normals(patch.normal, tilted, normal_sd_rad[wide] * fused.normal_scale)

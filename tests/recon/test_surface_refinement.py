@@ -25,17 +25,24 @@ def hemisphere() -> tuple[Maps, Maps, Truth]:
 def test_quadratic_polynomials_are_found_exactly() -> None:
     q, p = np.indices((12, 15)) / 4.0 - 1.5
     height = 0.3 - 0.2 * p + 0.7 * q + 0.1 * p * p - 0.4 * p * q + 0.25 * q * q
-    fit = fit_windows(p, q, height[None], np.ones(p.shape), half_width=2)
+    fit = fit_windows(p, q, height, np.stack([2 * height, -height]), np.ones(p.shape), half_width=2)
     along_p, along_q = fit.slopes(p, q)
-    assert np.allclose(fit.value(p, q)[0], height, atol=1e-9)
-    assert np.allclose(along_p[0], -0.2 + 0.2 * p - 0.4 * q, atol=1e-8)
-    assert np.allclose(along_q[0], 0.7 - 0.4 * p + 0.5 * q, atol=1e-8)
+    slope_p, slope_q = -0.2 + 0.2 * p - 0.4 * q, 0.7 - 0.4 * p + 0.5 * q
+    assert np.allclose(fit.value(p, q), height, atol=1e-9)
+    assert np.allclose(along_p, slope_p, atol=1e-8)
+    assert np.allclose(along_q, slope_q, atol=1e-8)
+    drawn_p, drawn_q, _ = fit.drawn_slopes(p, q)
+    for number, scale in enumerate((2, -1)):
+        assert np.allclose(fit.drawn_values(p, q)[number], scale * height, atol=1e-9)
+        assert np.allclose(drawn_p[number], scale * slope_p, atol=1e-8)
+        assert np.allclose(drawn_q[number], scale * slope_q, atol=1e-8)
+    assert max(np.abs(fit.misfit).max(), np.abs(fit.drawn_misfit).max()) < 1e-9
 
 
 def test_variance_in_the_middle_of_a_window_is_that_of_the_closed_form() -> None:
     # Savitzky and Golay in two dimensions: the middle of 5 × 5 places has the weight 27/175.
     q, p = np.indices((9, 9)) - 4.0
-    fit = fit_windows(p, q, np.zeros((1, 9, 9)), np.ones((9, 9)), half_width=2)
+    fit = fit_windows(p, q, np.zeros((9, 9)), np.empty((0, 9, 9)), np.ones((9, 9)), half_width=2)
     assert fit.value_variance(p, q)[4, 4] == pytest.approx(27 / 175, rel=1e-9)
 
 
