@@ -27,6 +27,8 @@ SOLVERS: dict[Integration, _Solve] = {
 }
 # What is left of the neglect of rays that do not meet falls by the object's depth over its distance in each round.
 START_FORMS: tuple[Integration, Integration] = ("quadratic", "quadratic")
+# Anchors that are surer than all but so many count like these.
+SUREST_SHARE = 0.01
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -99,12 +101,15 @@ def integrate_on_rays(
     """Integrate normals seen along rays that need not meet, ``origin_mm + depth · direction``.
 
     ``anchor_distance_mm`` and its standard deviation (NaN where unknown) set each part's constant by the median of the
-    difference, in which each counts by the inverse of its variance. Parts without any are left out. The equations are taken
+    difference, in which each counts by the inverse of its variance, the surest hundredth alike: paths that do not belong
+    together cross at a wide angle, and look surer than all others. Parts without any are left out. The equations are taken
     about a guess of the distances: first the same one for all, then those that the quadratic form finds.
     """
     weight = np.zeros(mask.shape)
     known = mask & np.isfinite(anchor_distance_mm) & (anchor_sd_mm > 0)
-    weight[known] = anchor_sd_mm[known] ** -2.0
+    if known.any():
+        sd_mm = anchor_sd_mm[known]
+        weight[known] = np.maximum(sd_mm, np.quantile(sd_mm, SUREST_SHARE)) ** -2.0
     one_part = np.where(mask, 0, -1).astype(np.int32)
     flat = np.where(mask, 0.0, np.nan)
     distance = _with_constants(flat, one_part, anchor_distance_mm, weight)

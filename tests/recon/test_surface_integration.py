@@ -271,3 +271,19 @@ def test_on_rays_that_cross_a_plane_askew_its_places_are_exact(form: Integration
     )
     # Corners are half-way between rays, which on rays that do not meet is near the plane to second order: 1 % of the spacing.
     assert np.abs(found.point_mm @ facing - facing[2] * 70).max() < (1e-2 if form == "discrete" else 1e-3)
+
+
+def test_a_few_anchors_that_look_surer_than_all_others_do_not_move_the_surface() -> None:
+    x, y = grid(21)
+    anchor, sd = np.full(x.shape, 70.0), np.full(x.shape, 2.0)
+    # Two of 441 pixels would outweigh all others by far: 2 / 1e-6 against 439 / 4.
+    anchor[0, [3, 9]], sd[0, [3, 9]] = 150.0, 1e-3
+    found = integrate_on_rays(
+        np.broadcast_to([0.0, 0.0, 1.0], (*x.shape, 3)).copy(),
+        np.ones(x.shape, bool),
+        origin_mm=origins(x, y),
+        direction=np.broadcast_to([0.0, 0.0, 1.0], (*x.shape, 3)).copy(),
+        anchor_distance_mm=anchor,
+        anchor_sd_mm=sd,
+    )
+    np.testing.assert_allclose(found.point_mm[..., 2], 70.0, atol=1e-6)
