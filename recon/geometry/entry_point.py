@@ -71,9 +71,7 @@ def _entry_points(liquid: LightPaths, air: LightPaths, *, weighted: bool) -> Ent
         s = (np.cross(offset, v) * cross).sum(1) / safe
         t = (np.cross(offset, u) * cross).sum(1) / safe
     gap = (offset * common).sum(1)
-    at_liquid, at_air = liquid.covariance_at(s), air.covariance_at(t)
-    variance_liquid = np.einsum("pi,pij,pj->p", common, at_liquid, common)
-    variance_air = np.einsum("pi,pij,pj->p", common, at_air, common)
+    variance_liquid, variance_air = liquid.variance_along(common, s), air.variance_along(common, t)
     total = variance_liquid + variance_air
     share = _liquid_share(variance_air, total) if weighted else np.full_like(total, 0.5)
     point = share[:, None] * liquid.point_at(s) + (1 - share)[:, None] * air.point_at(t)
@@ -85,7 +83,7 @@ def _entry_points(liquid: LightPaths, air: LightPaths, *, weighted: bool) -> Ent
         gap_sd_mm=np.sqrt(total),
         angle_rad=np.arctan2(np.sqrt(sine_squared), (u * v).sum(1)),
         angle_sd_rad=_angle_sd(liquid, air, common),
-        covariance=_covariance(u, v, common, sine, at_liquid, at_air, share),
+        covariance=_covariance(liquid, air, (s, t), common, sine, share),
     )
 
 
@@ -98,7 +96,7 @@ def crossing_by_liquid(liquid: LightPaths, air: LightPaths, points: EntryPoints)
     sine = np.linalg.norm(cross, axis=1)
     with np.errstate(divide="ignore", invalid="ignore"):
         common = cross / sine[:, None]
-        variance_air = np.einsum("pi,pij,pj->p", common, air.covariance_at(points.distance_air_mm), common)
+        variance_air = air.variance_along(common, points.distance_air_mm)
         share = _liquid_share(variance_air, points.gap_sd_mm**2)
         return _by_liquid(liquid.direction, air.direction, common, sine, share)
 
@@ -118,27 +116,37 @@ def _angle_sd(liquid: LightPaths, air: LightPaths, common: np.ndarray) -> np.nda
     """Return the sd of the angle: of each direction's part in the common plane, across the direction."""
     variance = np.zeros(len(common))
     for paths in (liquid, air):
-        across = np.cross(common, paths.direction)
-        variance += np.einsum("pi,pij,pj->p", across, paths.direction_covariance(), across)
+        variance += paths.turn_variance_along(np.cross(common, paths.direction))
     return np.sqrt(variance)
 
 
 def _covariance(
-    u: np.ndarray,
-    v: np.ndarray,
+    liquid: LightPaths,
+    air: LightPaths,
+    distance_mm: tuple[np.ndarray, np.ndarray],
     common: np.ndarray,
     sine: np.ndarray,
-    at_liquid: np.ndarray,
-    at_air: np.ndarray,
     share: np.ndarray,
 ) -> np.ndarray:
-    """Propagate a small shift of either line to the crossing, leaving out terms of the order of gap times shift."""
-    by_liquid = _by_liquid(u, v, common, sine, share)
-    by_air = _outer(-u / sine[:, None], np.cross(common, v)) + (1 - share)[:, None, None] * _outer(common, common)
-    covariance = np.zeros_like(at_liquid)
-    for jacobian, shift in ((by_liquid, at_liquid), (by_air, at_air)):
-        covariance += jacobian @ shift @ np.swapaxes(jacobian, 1, 2)
-    return covariance
+    """Propagate a small shift of either line to the crossing, leaving out terms of the order of gap times shift.
+
+    Each display point errs along two axes, independently: eight vectors move the crossing.
+    """
+    u, v = liquid.direction, air.direction
+    moves = []
+    for paths, distance, along, across, part in (
+        (liquid, distance_mm[0], v / sine[:, None], np.cross(common, u), share),
+        (air, distance_mm[1], -u / sine[:, None], np.cross(common, v), 1 - share),
+    ):
+        lever = distance / paths.baseline_mm
+        for noise, weight in ((paths.near_noise, 1 + lever), (paths.far_noise, lever)):
+            for axis, sd in zip(noise.axes.T, noise.sd_mm.T, strict=True):
+                size = weight * sd
+                moves.append(
+                    (size * (across @ axis))[:, None] * along + (size * part * (common @ axis))[:, None] * common
+                )
+    stacked = np.stack(moves, axis=2)
+    return np.einsum("pik,pjk->pij", stacked, stacked)
 
 
 def _outer(a: np.ndarray, b: np.ndarray) -> np.ndarray:

@@ -29,7 +29,12 @@ class ScreenNoise:
 
     def covariance(self) -> Float64[np.ndarray, "pixels 3 3"]:
         """Return the covariances in mm²."""
-        return np.einsum("ia,pa,ja->pij", self.axes, self.sd_mm**2, self.axes)
+        outer = np.einsum("ia,ja->aij", self.axes, self.axes)
+        return (self.sd_mm**2 @ outer.reshape(2, 9)).reshape(-1, 3, 3)
+
+    def variance_along(self, direction: Float64[np.ndarray, "pixels 3"]) -> Float64[np.ndarray, " pixels"]:
+        """Return the variance of each point's error along a vector, times the vector's square."""
+        return ((direction @ self.axes * self.sd_mm) ** 2).sum(axis=1)
 
     def drawn(self, rng: np.random.Generator) -> Float64[np.ndarray, "pixels 3"]:
         """Draw one error a point."""
@@ -73,6 +78,19 @@ class LightPaths:
         """Return the covariance of the line's place at that distance: the lever of the two display points."""
         lever = (distance_mm / self.baseline_mm)[:, None, None]
         return (1 + lever) ** 2 * self.near_covariance + lever**2 * self.far_covariance
+
+    def variance_along(
+        self, direction: Float64[np.ndarray, "pixels 3"], distance_mm: Float64[np.ndarray, " pixels"]
+    ) -> Float64[np.ndarray, " pixels"]:
+        """Return the variance along a vector of each line's place at a distance."""
+        lever = distance_mm / self.baseline_mm
+        near, far = self.near_noise.variance_along(direction), self.far_noise.variance_along(direction)
+        return (1 + lever) ** 2 * near + lever**2 * far
+
+    def turn_variance_along(self, direction: Float64[np.ndarray, "pixels 3"]) -> Float64[np.ndarray, " pixels"]:
+        """Return the variance of each line's direction along a vector at right angles to it."""
+        near, far = self.near_noise.variance_along(direction), self.far_noise.variance_along(direction)
+        return (near + far) / self.baseline_mm**2
 
     def direction_covariance(self) -> Float64[np.ndarray, "pixels 3 3"]:
         """Return the covariance of the unit direction; a shift of a display point along the line turns nothing."""

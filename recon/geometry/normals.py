@@ -67,7 +67,11 @@ def normal_sd_rad(liquid: LightPaths, air: LightPaths, *, n_liquid: float, n_air
     normal = along / length[:, None]
     variance = np.zeros(len(length))
     for paths, n_medium in ((liquid, n_liquid), (air, n_air)):
-        covariance = paths.direction_covariance() * n_medium**2
-        whole = np.trace(covariance, axis1=1, axis2=2)
-        variance += whole - np.einsum("pi,pij,pj->p", normal, covariance, normal)
+        facing = (normal * paths.direction).sum(axis=1)
+        scale = (n_medium / paths.baseline_mm) ** 2
+        for noise in (paths.near_noise, paths.far_noise):
+            for axis, sd in zip(noise.axes.T, noise.sd_mm.T, strict=True):
+                # What of a unit shift turns the path, and what of that turns the normal: the parts across either.
+                along = paths.direction @ axis
+                variance += scale * sd**2 * (1 - along**2 - (normal @ axis - facing * along) ** 2)
     return np.sqrt(np.maximum(variance, 0.0)) / length

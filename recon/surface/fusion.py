@@ -47,9 +47,9 @@ DRAW_WINDOW_PX = 9
 DRAW_TOLERANCE = 1e-2  # of a draw, of which twelve tell an sd to a tenth
 DRAW_SEED = 20180601
 
-# Draws one error of every pixel's distance [rows, cols] and normal [rows, cols, 3] from the noise of its measurement, for a
-# surface at the distances given.
-NoiseDraw = Callable[[np.random.Generator, ScalarMap], tuple[ScalarMap, VectorMap]]
+# For a surface at the distances given, what draws one error of every pixel's distance [rows, cols] and normal [rows, cols, 3]
+# from the noise of its measurement.
+NoiseDraw = Callable[[ScalarMap], Callable[[np.random.Generator], tuple[ScalarMap, VectorMap]]]
 # Reads the measured distances and their standard deviations again, for a surface near the distances given.
 Remeasure = Callable[[ScalarMap], tuple[ScalarMap, ScalarMap]]
 
@@ -249,8 +249,9 @@ def _errors(
     rng = np.random.default_rng(DRAW_SEED)
     solve = solver.solver(system.matrix, relative_tolerance=DRAW_TOLERANCE)
     errors = np.empty((DRAWS, graph.pixels))
+    draw_noise = noise(graph.on_grid(distance))
     for draw in errors:
-        distance_error, normal_error = noise(rng, graph.on_grid(distance))
+        distance_error, normal_error = draw_noise(rng)
         tilt = scales[1] * normal_error[graph.mask]
         at_first = np.einsum("pi,pi->p", tilt[graph.first], chords.chord_mm)
         at_second = np.einsum("pi,pi->p", tilt[graph.second], chords.chord_mm)
@@ -264,14 +265,14 @@ def _errors(
 def _independent(rays: Rays, graph: Neighbours) -> NoiseDraw:
     """Return draws of distances and normals that know nothing of each other, from the standard deviations alone."""
 
-    def draw(rng: np.random.Generator, _distance_mm: ScalarMap) -> tuple[ScalarMap, VectorMap]:
+    def draw(rng: np.random.Generator) -> tuple[ScalarMap, VectorMap]:
         tilt = np.sqrt(rays.tilt_variance)[:, None] * rng.standard_normal(rays.normal.shape)
         normal_error = np.zeros((*graph.mask.shape, 3))
         normal_error[graph.mask] = tilt - (tilt * rays.normal).sum(axis=1, keepdims=True) * rays.normal
         sd = np.sqrt(np.divide(1.0, rays.precision, out=np.zeros(graph.pixels), where=rays.precision > 0))
         return graph.on_grid(sd * rng.standard_normal(graph.pixels)), normal_error
 
-    return draw
+    return lambda _distance_mm: draw
 
 
 def standard_deviation(

@@ -86,10 +86,8 @@ class PathCrossing:
             told = distance_mm + self.by_shift(self.liquid.point_at(distance_mm) - self.air.near_mm)
             sine = np.linalg.norm(self.mean_cross, axis=1)
             across = np.cross(self.air.direction, self.mean_cross / sine[:, None])
-            variance = np.zeros(len(sine))
-            along_air = self.along_air(distance_mm)
-            for covariance in (self.liquid.covariance_at(distance_mm), self.air.covariance_at(along_air)):
-                variance += np.einsum("pi,pij,pj->p", across, covariance, across)
+            variance = self.liquid.variance_along(across, distance_mm)
+            variance += self.air.variance_along(across, self.along_air(distance_mm))
             return told, np.sqrt(variance) / sine
 
     def by_shift(self, apart_mm: Vectors) -> PerPath:

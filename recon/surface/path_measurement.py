@@ -1,5 +1,6 @@
 """The two light paths of every pixel as the measurements that fusion asks for, near a surface that is roughly known."""
 
+from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
@@ -72,19 +73,25 @@ class PathMeasurement:
         below_mm = 0.5 * np.einsum("pij,pij->p", self._curvature(along), slide) / self.facing
         return self.on_grid(told_mm + below_mm, self.readable), self.on_grid(np.hypot(sd_mm, below_mm), self.readable)
 
-    def noise(self, rng: np.random.Generator, distance_mm: ScalarMap) -> tuple[ScalarMap, VectorMap]:
-        """Draw the errors of distances and normals on a surface at ``distance_mm``.
+    def noise(self, distance_mm: ScalarMap) -> Callable[[np.random.Generator], tuple[ScalarMap, VectorMap]]:
+        """Return what draws the errors of distances and normals on a surface at ``distance_mm``.
 
         The surface is sought where the shifted liquid path meets it, and its normal is another one there.
         """
         along, direction = distance_mm.ravel()[self.pixels], self.paths.liquid.direction
-        liquid_mm, air_mm, normal_error = self.paths.draw(
-            rng, along_liquid_mm=along, along_air_mm=self.crossing.along_air(along)
-        )
-        slide = liquid_mm + ((liquid_mm * self.paths.normal).sum(axis=1) / self.facing)[:, None] * direction
-        there = np.einsum("pij,pj->pi", self._curvature(along), slide)
-        distance_error = self.crossing.by_shift(liquid_mm - air_mm)
-        return self.on_grid(distance_error, self.surface_pixel), self.on_grid(normal_error - there, self.surface_pixel)
+        along_air_mm, curvature = self.crossing.along_air(along), self._curvature(along)
+
+        def draw(rng: np.random.Generator) -> tuple[ScalarMap, VectorMap]:
+            liquid_mm, air_mm, normal_error = self.paths.draw(rng, along_liquid_mm=along, along_air_mm=along_air_mm)
+            slide = liquid_mm + ((liquid_mm * self.paths.normal).sum(axis=1) / self.facing)[:, None] * direction
+            there = np.einsum("pij,pj->pi", curvature, slide)
+            distance_error = self.crossing.by_shift(liquid_mm - air_mm)
+            return (
+                self.on_grid(distance_error, self.surface_pixel),
+                self.on_grid(normal_error - there, self.surface_pixel),
+            )
+
+        return draw
 
     def _curvature(self, along_mm: PerPath) -> Float64[np.ndarray, "pixels 3 3"]:
         point_mm = self.on_grid(self.paths.liquid.point_at(along_mm), self.surface_pixel)
