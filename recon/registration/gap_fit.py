@@ -65,7 +65,7 @@ def fit_motions(
     air: LightPaths,
     *,
     known: MotionCovariance,
-    patch: Int64[np.ndarray, " pixels"],
+    bands: Int64[np.ndarray, "pixels 2"],
 ) -> GapFit:
     """Find the motions that minimise Σ (gap / its sd)², robustly (iteratively reweighted Gauss–Newton).
 
@@ -75,9 +75,11 @@ def fit_motions(
     shifts : how far the near and the far display's points move for each of the six numbers.
     air : the paths in air of the same pixels.
     known : covariance of the motions before any gap is looked at; its mean is nought.
-    patch : a number for the part of the photo in which each pixel lies. Neighbours see the same display pixels and err alike; the
-        covariance is taken from the scatter between patches, so that they do not count as independent.
+    bands : the band of rows and the band of columns of the photo in which each pixel lies. Pixels of one see the same rows or
+        columns of display pixels, lit by the same stripes, and err alike; the covariance is taken from the scatter between bands,
+        so that they do not count as independent.
     """
+    patch = bands[:, 0] * (int(bands[:, 1].max()) + 1) + bands[:, 1]
     root = np.linalg.cholesky(known)
     motions = np.zeros(6)
     before = _residuals(liquid_after(motions), air, shifts)
@@ -85,7 +87,7 @@ def fit_motions(
     # First with all six numbers, held by what was known before; then without the directions that gaps do not tell.
     for restricted in (False, True):
         if restricted:
-            basis = _determined(_residuals(liquid_after(motions), air, shifts), root, patch)
+            basis = _determined(_residuals(liquid_after(motions), air, shifts), root, bands)
             motions = root @ basis @ (basis.T @ np.linalg.solve(root, motions))
         for _ in range(MOST_ROUNDS if basis.shape[1] else 0):
             residuals = _residuals(liquid_after(motions), air, shifts)
@@ -100,7 +102,7 @@ def fit_motions(
     residuals = _residuals(liquid_after(motions), air, shifts)
     covariance = np.zeros((6, 6))
     if basis.shape[1]:
-        inner = _patch_covariance(residuals.slopes @ root @ basis, residuals, patch)
+        inner = _band_covariance(residuals.slopes @ root @ basis, residuals, bands)
         inner = np.linalg.inv(np.linalg.inv(inner) + np.eye(len(inner)))
         covariance = root @ basis @ inner @ basis.T @ root.T
     shared = (_shared_gap(one, patch) for one in (before, residuals))
@@ -171,7 +173,7 @@ def _gap_slopes(
     return np.einsum("pi,pim->pm", common, moved), np.stack(faked)
 
 
-def _determined(residuals: _Residuals, root: np.ndarray, patch: np.ndarray) -> Float64[np.ndarray, "6 determined"]:
+def _determined(residuals: _Residuals, root: np.ndarray, bands: np.ndarray) -> Float64[np.ndarray, "6 determined"]:
     """Return the directions, in units of what was known before, that gaps know better than that."""
     slopes, weight = residuals.slopes @ root, residuals.weight[:, None]
     strength, vectors = np.linalg.eigh((slopes * weight).T @ slopes)
@@ -181,19 +183,40 @@ def _determined(residuals: _Residuals, root: np.ndarray, patch: np.ndarray) -> F
     sound, _ = np.linalg.qr(seen @ mixed[:, share < LARGEST_FAKED_SHARE])
     if not sound.shape[1]:
         return sound
-    variance, turned = np.linalg.eigh(_patch_covariance(slopes @ sound, residuals, patch))
+    variance, turned = np.linalg.eigh(_band_covariance(slopes @ sound, residuals, bands))
     return sound @ turned[:, variance < DETERMINED_SHARE**2]
 
 
-def _patch_covariance(slopes: np.ndarray, residuals: _Residuals, patch: np.ndarray) -> np.ndarray:
-    """Return the covariance of a least squares answer whose errors are alike within a patch (Liang and Zeger 1986).
+def _band_covariance(slopes: np.ndarray, residuals: _Residuals, bands: np.ndarray) -> np.ndarray:
+    """Return the covariance of a least squares answer whose errors are alike within a band of rows and within one of columns.
 
-    In no direction is it taken as better than independent pixels would make it.
+    Two ways of clustering (Cameron, Gelbach and Miller 2011, equation 2.7). In no direction is it taken as better than either,
+    patches of both, or independent pixels would make it.
     """
     weighted = slopes * residuals.weight[:, None]
     whiten = np.linalg.cholesky(np.linalg.inv(weighted.T @ slopes))
     pull = (weighted * residuals.normalised[:, None]) @ whiten
-    patches = int(patch.max()) + 1
-    summed = np.stack([np.bincount(patch, pull[:, k], patches) for k in range(pull.shape[1])], axis=1)
-    excess, turned = np.linalg.eigh(summed.T @ summed)
-    return whiten @ (turned * np.maximum(excess, 1.0)) @ turned.T @ whiten.T
+    row, column = bands.T
+    by_row, by_column, by_patch = (
+        _scatter(pull, group) for group in (row, column, row * (int(column.max()) + 1) + column)
+    )
+    most = np.eye(pull.shape[1])
+    for one in (by_patch, by_row, by_column, by_row + by_column - by_patch):
+        most = _larger(most, one)
+    return whiten @ most @ whiten.T
+
+
+def _scatter(pull: np.ndarray, group: np.ndarray) -> np.ndarray:
+    """Return the scatter of the groups' sums (Liang and Zeger 1986)."""
+    groups = int(group.max()) + 1
+    summed = np.stack([np.bincount(group, pull[:, k], groups) for k in range(pull.shape[1])], axis=1)
+    return summed.T @ summed
+
+
+def _larger(first: np.ndarray, second: np.ndarray) -> np.ndarray:
+    """Return the covariance that is no smaller than either of two in any direction, along the axes of both."""
+    root = np.linalg.cholesky(first)
+    inverse = np.linalg.inv(root)
+    share, turned = np.linalg.eigh(inverse @ second @ inverse.T)
+    along = root @ turned
+    return (along * np.maximum(share, 1.0)) @ along.T

@@ -25,7 +25,7 @@ LARGEST_SHARE_LEFT = 0.5
 TOLD_SIGMA = 3.0
 MOST_PIXELS = 20_000
 FEWEST_PIXELS = 500
-PATCHES_A_SIDE = 24
+BANDS_A_SIDE = 24
 SAMPLE_SEED = 2018
 
 Places = Float64[np.ndarray, "pixels 2"]
@@ -92,7 +92,7 @@ def register(
     sample = _sample(len(places.pixels))
     columns = manifest.camera.columns
     row, column = np.divmod(places.pixels[sample], columns)
-    patch = (row * PATCHES_A_SIDE // manifest.camera.rows) * PATCHES_A_SIDE + column * PATCHES_A_SIDE // columns
+    bands = np.column_stack([row * BANDS_A_SIDE // manifest.camera.rows, column * BANDS_A_SIDE // columns])
     air = paths_of(places, manifest, "air", sample, n_medium=manifest.n_air)
     before = wet_poses(manifest)
 
@@ -102,7 +102,7 @@ def register(
     def shifts(paths: LightPaths) -> Shifts:
         return motion_shifts(paths, before)
 
-    fit = fit_motions(liquid_after, shifts, air, known=_wide() if known is None else known, patch=patch)
+    fit = fit_motions(liquid_after, shifts, air, known=_wide() if known is None else known, bands=bands)
     if not fit.directions.shape[1]:
         return Registration(fit, 0.0, applied=False)
     root = np.linalg.cholesky(_wide() if known is None else known)
