@@ -1,8 +1,8 @@
 """Algebraic multigrid by smoothed aggregation, as a preconditioner: one V-cycle of a hierarchy of ever coarser systems.
 
 Vanek, Mandel and Brezina (1996). Coarse grids keep constants and do not join across weak connections: robust weights spread
-over eight decades, and aggregates that ignore them need three times as many steps. All of it is single precision, which halves
-the memory that each cycle reads; conjugate gradients around it make up for the rounding.
+over eight decades, and aggregates that ignore them need three times as many steps. Cycles run in single precision, which halves
+the memory that they read; conjugate gradients around them make up for the rounding.
 """
 
 from dataclasses import dataclass
@@ -46,17 +46,21 @@ class Multigrid:
     def of(cls, matrix: csr_array) -> "Multigrid":
         """Coarsen until a system is small enough to be factorised."""
         levels: list[_Level] = []
-        here = matrix.astype(np.float32)
-        while here.shape[0] > COARSEST_UNKNOWNS and len(levels) < MOST_LEVELS:
+        exact = matrix
+        while exact.shape[0] > COARSEST_UNKNOWNS and len(levels) < MOST_LEVELS:
+            here = exact.astype(np.float32)
             up = _prolongation(here)
             if not 0 < up.shape[1] < here.shape[0]:
                 break
             down = up.T.tocsr()
             levels.append(_Level(here, down, up))
-            here = (down @ (here @ up)).tocsr()
-        dense = here.toarray().astype(np.float64)
-        # Rounding to single precision may have cost a nearly singular system its definiteness.
-        dense[np.diag_indices_from(dense)] *= 1 + 1e-6
+            # A part of a surface whose distance is hardly known beside its shape is nearly singular: coarse systems made in
+            # single precision would not be definite.
+            exact = (down.astype(np.float64) @ (exact @ up.astype(np.float64))).tocsr()
+        dense = exact.toarray()
+        # Unknowns that nothing joins are solved by the sweeps alone; where all are such, the one coarse unknown is that of none.
+        alone = np.flatnonzero(dense.diagonal() == 0)
+        dense[alone, alone] = 1.0
         return cls(tuple(levels), cho_factor(dense))
 
     def cycle(self, residual: Vector) -> Vector:
