@@ -19,9 +19,17 @@ SPOTS_NAMED = 3
 
 
 def assumption_doubts(
-    sweeps: Mapping[tuple[str, str], SweepResult], crossing: Crossing, maps: Maps, crossed: StatusMap
+    sweeps: Mapping[tuple[str, str], SweepResult],
+    crossing: Crossing,
+    maps: Maps,
+    crossed: StatusMap,
+    *,
+    corner: tuple[int, int] = (0, 0),
 ) -> tuple[str, ...]:
-    """Return a sentence for each assumption that the session itself contradicts; ``crossed`` is the status before any surface."""
+    """Return a sentence for each assumption that the session itself contradicts; ``crossed`` is the status before any surface.
+
+    ``corner`` is the row and the column of the photo at which the maps begin.
+    """
     _, shared = shared_gaps(crossing, shape=(maps.status.shape[0], maps.status.shape[1]))
     share = np.count_nonzero(shared) / max(crossed_pixels(crossing), 1)
     doubts = []
@@ -29,7 +37,7 @@ def assumption_doubts(
         doubts.append(_shared_sentence(share))
     spots = wet_spots(sweeps, crossed, shared)
     if spots:
-        doubts.append(_spots_sentence(spots))
+        doubts.append(_spots_sentence(spots, corner))
     leaning = lean(crossing, maps)
     if leaning is not None and leaning.sigma > LEAN_SIGMA and leaning.slope > LEAN_SLOPE:
         doubts.append(_lean_sentence(leaning))
@@ -44,8 +52,8 @@ def _shared_sentence(share: float) -> str:
     )
 
 
-def _spots_sentence(spots: tuple[WetSpot, ...]) -> str:
-    named = "; ".join(f"column {spot.col}, row {spot.row}" for spot in spots[:SPOTS_NAMED])
+def _spots_sentence(spots: tuple[WetSpot, ...], corner: tuple[int, int]) -> str:
+    named = "; ".join(f"column {corner[1] + spot.col}, row {corner[0] + spot.row}" for spot in spots[:SPOTS_NAMED])
     more = f"; and {len(spots) - SPOTS_NAMED} more" if len(spots) > SPOTS_NAMED else ""
     what = "One spot is" if len(spots) == 1 else f"{len(spots)} spots are"
     return f"{what} sound in air and not in the liquid: look for bubbles on object and display (photo pixels at {named}{more})."

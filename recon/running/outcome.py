@@ -23,6 +23,7 @@ from recon.registration.gap_fit import MotionCovariance
 from recon.registration.known_slips import known_slips
 from recon.registration.registration_stage import record_of, registration_of, with_carried
 from recon.registration.session_slips import Registration, registered
+from recon.running.object_part import ObjectPart
 from recon.running.settings import Settings
 from recon.sessions.manifest import Manifest
 from recon.sessions.photos import read_grey
@@ -79,6 +80,16 @@ def reconstruct(
         maps = _with_path_count(thin.maps, sweeps, settings)
         mesh, doubt = drawn_mesh(thin.mesh)
         return Outcome(maps, mesh, None, _statistics(maps, None), (*thin.warnings, *doubt))
+    part = ObjectPart.of(sweeps, manifest, inside_mask=mask)
+    found = _reconstruct(session, part, settings, known=known)
+    return replace(found, maps=_with_path_count(part.on_photo(found.maps), sweeps, settings))
+
+
+def _reconstruct(
+    session: Session, part: ObjectPart, settings: Settings, *, known: MotionCovariance | None = None
+) -> Outcome:
+    """Reconstruct the part of the photo that holds the object."""
+    sweeps, manifest, mask = part.sweeps, part.manifest, part.mask
     stated = stated_index(manifest)
     manifest = provisional(manifest)
     registration, manifest = _register(session, manifest, sweeps, settings, mask, known)
@@ -100,7 +111,7 @@ def reconstruct(
         crossing = with_shared_gaps(crossing, shape=shape, n_liquid=manifest.n_liquid(), n_air=manifest.n_air)
         apart = shared_area(crossing, shape=shape)
         own = OwnPaths.of(sweeps, manifest, np.flatnonzero(np.isin(status, COVERABLE)))
-    maps = _with_path_count(maps_of(status, crossing, shape=shape, method=settings.method), sweeps, settings)
+    maps = maps_of(status, crossing, shape=shape, method=settings.method)
     surface = surface_of(maps, crossing, manifest, method=settings.method, own=own, apart=apart)
     ratio: float | None = None
     doubts: tuple[str, ...] = ()
@@ -108,7 +119,7 @@ def reconstruct(
         # Those that miss by too much count as well: left out, a session that is wrong would look sound.
         crossed = np.isin(crossing.status, (PixelStatus.OK, PixelStatus.GAP_TOO_LARGE))
         ratio = gap_ratio(crossing.points.gap_mm[crossed], crossing.points.gap_sd_mm[crossed])
-        doubts = assumption_doubts(sweeps, crossing, surface.maps, before)
+        doubts = assumption_doubts(sweeps, crossing, surface.maps, before, corner=part.corner)
     told = registration.sentences(manifest.length_unit) if registration is not None else ()
     mesh, doubt = drawn_mesh(surface.mesh)
     return Outcome(

@@ -55,16 +55,26 @@ def measure(scene: Scene, *, photos: int, threads: int) -> dict[str, float]:
     }
 
 
+def with_rows(scene: Scene, rows: int) -> Scene:
+    """Return the scene with another number of rows about the middle of the photo."""
+    camera = scene.camera
+    middle = camera.centre_y_px + (rows - camera.rows) / 2
+    return scene.model_copy(update={"camera": camera.model_copy(update={"rows": rows, "centre_y_px": middle})})
+
+
 def main() -> None:
     """Measure one scene at one size."""
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("--scene", default="semi_ellipsoid")
     parser.add_argument("--camera-columns", type=int, default=1024)
+    parser.add_argument("--camera-rows", type=int, help="rows about the middle of the photo")
     parser.add_argument("--display-columns", type=int, default=1024)
     parser.add_argument("--photos", type=int, default=400)
     parser.add_argument("--threads", type=int, default=os.cpu_count())
     given = parser.parse_args()
     scene = load_scene(given.scene).resized(camera_columns=given.camera_columns, display_columns=given.display_columns)
+    if given.camera_rows is not None:
+        scene = with_rows(scene, given.camera_rows)
     result = measure(scene, photos=given.photos, threads=given.threads)
     print(json.dumps({**vars(given), **result}, indent=2))
 
