@@ -14,8 +14,8 @@ RELATIVE_TOLERANCE = 1e-8
 MOST_ITERATIONS = 500
 # So few equations are quicker to factorise than to prepare a multigrid for.
 DIRECT_UNKNOWNS = 3000
-# With more steps than this, a hierarchy made for other weights costs more than a new one.
-MOST_WITH_OTHER_WEIGHTS = 40
+# With more steps than this, a hierarchy made for other weights costs more than a new one, which is made in as long as 17 take.
+MOST_WITH_OTHER_WEIGHTS = 17
 
 Vector = Float64[np.ndarray, " unknowns"]
 
@@ -56,7 +56,7 @@ class SparseSolver:
                 found, converged = _conjugate_gradients(
                     matrix,
                     right,
-                    guess,
+                    found if np.isfinite(found).all() else guess,
                     self._multigrid,
                     inverse_diagonal,
                     tolerance=tolerance,
