@@ -28,7 +28,7 @@ from recon.surface.ray_chords import (
     measured_pixels,
     rays_of,
 )
-from recon.surface.sheets import NORMAL_CONSISTENT_MAD, Sheets, contradiction, sheets_of
+from recon.surface.sheets import NORMAL_CONSISTENT_MAD, Sheets, contradiction, sheets_of, with_long_jumps
 from recon.surface.sparse_solver import SparseSolver
 
 ROUNDS = 3
@@ -131,13 +131,15 @@ def fuse_on_rays(
     pairs = _cut(_reweighted(contradiction(chords, graph, rays, distance)), sheets)
     positions = _position_weights(rays, distance)
     solver = SparseSolver()
-    for _ in range(rounds if graph.pixels else 0):
+    for number in range(rounds if graph.pixels else 0):
         distance = _solve(graph, rays, chords, _system(graph, rays, chords, pairs, positions), distance, solver)
         if remeasure is not None:
             told_mm, told_sd_mm = remeasure(graph.on_grid(distance))
             told = measured_pixels(told_mm, told_sd_mm)
             told_mm, told_sd_mm = np.where(told, told_mm, distance_mm), np.where(told, told_sd_mm, distance_sd_mm)
             rays = rays_of(origin_mm, direction, told_mm, told_sd_mm, normal, normal_sd_rad, used)
+        if number == 0:
+            sheets = with_long_jumps(sheets, graph, rays, distance)
         chords = chords_of(rays, graph, distance)
         pairs = _cut(_reweighted(chords.residual(graph, distance) / np.sqrt(chords.variance)), sheets)
         positions = _position_weights(rays, distance)

@@ -1,7 +1,8 @@
 """Which neighbours the measurements hold together: depth jumps where they say so, and pixels that stand against all others.
 
 Two neighbours whose chord lies outside both their tangent planes, by far more than the noise of distances and normals, do
-not lie on one surface. What is left connected are sheets. A few pixels that agree with none
+not lie on one surface. Where a jump is smaller, many pairs along it may tell what one does not (``long_jumps``). What is left
+connected are sheets. A few pixels that agree with none
 of those about them are not a sheet but outliers.
 """
 
@@ -11,6 +12,7 @@ import numpy as np
 from jaxtyping import Bool
 from scipy.ndimage import maximum_filter, minimum_filter
 
+from recon.surface.long_jumps import DEEP_PX, LONG_PX, long_jumps
 from recon.surface.neighbours import Neighbours, components
 from recon.surface.ray_chords import Chords, PerPair, PerPixel, Rays
 
@@ -18,6 +20,10 @@ from recon.surface.ray_chords import Chords, PerPair, PerPixel, Rays
 JUMP_SD = 5.0
 # Pixels that fill no window of this size, such as a row along an edge, cannot show that they are a surface.
 SMALLEST_SHEET_PX = 3
+# Along an edge that parts a surface, half of the pairs show more than that.
+SURE_EDGE_SD = 5.0
+# As many pixels as say of one edge on which side the surface stands.
+SMALLEST_PART_PX = DEEP_PX * LONG_PX
 NORMAL_CONSISTENT_MAD = 1.4826
 
 
@@ -49,6 +55,28 @@ def sheets_of(chords: Chords, graph: Neighbours, rays: Rays) -> Sheets:
     part = components(graph.pixels, graph.first, graph.second)
     outlier = small & (np.bincount(part, ~small)[part] > 0)
     return Sheets(jump=apart & ~outlier[graph.first] & ~outlier[graph.second], outlier=outlier)
+
+
+def with_long_jumps(sheets: Sheets, graph: Neighbours, rays: Rays, distance: PerPixel) -> Sheets:
+    """Part the sheets further along edges that show only all together: the distances leave jumps of a surface at ``distance``."""
+    left_mm, precision = graph.on_grid(rays.measured_mm - distance), graph.on_grid(rays.precision)
+    right, below = long_jumps(np.nan_to_num(left_mm), np.nan_to_num(precision))
+    along, down = graph.mask[:, :-1] & graph.mask[:, 1:], graph.mask[:-1] & graph.mask[1:]
+    size_sd = np.concatenate([right[:, :-1][along], below[:-1][down]])
+    new = (size_sd != 0) & ~sheets.jump
+    # Errors that neighbours share make edges too, but hardly one that parts a surface from rim to rim, sure on most of its way.
+    part = components(graph.pixels, graph.first[~sheets.jump & ~new], graph.second[~sheets.jump & ~new])
+    one, other = part[graph.first], part[graph.second]
+    large = np.bincount(part, rays.precision > 0) >= SMALLEST_PART_PX
+    between = np.flatnonzero(new & (one != other) & large[one] & large[other])
+    border = np.minimum(one, other)[between].astype(np.int64) * (int(part.max(initial=0)) + 1)
+    border += np.maximum(one, other)[between]
+    sure = np.zeros(len(new), dtype=bool)
+    for number in np.unique(border):
+        pairs = between[border == number]
+        sizes = size_sd[pairs][np.isfinite(size_sd[pairs])]
+        sure[pairs] = len(sizes) > 0 and float(np.median(sizes)) > SURE_EDGE_SD
+    return Sheets(sheets.jump | sure, sheets.outlier)
 
 
 def _fills_window(sheet: np.ndarray, graph: Neighbours) -> Bool[np.ndarray, " pixels"]:

@@ -1,10 +1,11 @@
 """Creases, steps, holes and outliers on planes: what the data say stays, and what stands against all others does not pull."""
 
 import numpy as np
-from known_surface import DISTANCE_MM, Scene, plane, rms
+from known_surface import DISTANCE_MM, Scene, plane, rms, sphere
 
 from recon.evaluation.spread import angle_between_rad
 from recon.surface.fusion import FusedSurface
+from recon.surface.long_jumps import long_jumps
 from recon.surface.refinement import RefinedSurface, refine_surface
 
 SD_MM, NORMAL_SD_RAD = 0.05, 0.004
@@ -81,6 +82,26 @@ def test_step_is_cut_where_both_sides_say_so() -> None:
     fused, refined, _ = surfaces(scene, step, seed=5)
     assert np.abs(fused.distance_mm - DISTANCE_MM - step).max() < SD_MM
     assert np.abs(-refined.point_mm[..., 2] - step).max() < SD_MM
+
+
+def test_a_step_that_no_pair_shows_is_cut_where_all_along_it_say_so() -> None:
+    scene = plane(40)
+    # Askew to the pixels; 2.8 sd of the difference of two distances.
+    step = 0.2 * (np.arange(40) > 18 + 0.1 * np.arange(40)[:, None])
+    fused, refined, _ = surfaces(scene, step, seed=8)
+    # Hundreds of distances on each side tell its level to a tenth of the step, and a pixel beside the edge is on either side.
+    beside = np.abs(np.arange(40) - 18.5 - 0.1 * np.arange(40)[:, None]) < 1
+    for found in (fused.distance_mm - DISTANCE_MM, -refined.point_mm[..., 2]):
+        assert np.abs(found - step)[~beside].max() < SD_MM / 2
+
+
+def test_noise_on_a_sphere_parts_nothing() -> None:
+    scene = sphere(61)
+    distance, _ = scene.noisy(9, SD_MM, NORMAL_SD_RAD)
+    left_mm = np.where(scene.mask, distance - DISTANCE_MM, 0.0)
+    right, below = long_jumps(left_mm, np.where(scene.mask, 1 / SD_MM**2, 0.0))
+    assert not right.any()
+    assert not below.any()
 
 
 def test_hole_is_bridged_by_normals_alone_with_a_wider_standard_deviation() -> None:
