@@ -54,8 +54,9 @@ class OwnPaths:
         along = (offset * direction).sum(axis=1)
         across = offset - along[:, None] * direction
         lever = along / paths.baseline_mm[place]
-        own = (1 + lever) ** 2 * np.trace(paths.near_covariance[place], axis1=1, axis2=2)
-        own += lever**2 * np.trace(paths.far_covariance[place], axis1=1, axis2=2)
+        # The display's axes are unit vectors, so that a covariance's trace is the sum of both variances.
+        near_mm2, far_mm2 = ((noise.sd_mm[place] ** 2).sum(axis=1) for noise in (paths.near_noise, paths.far_noise))
+        own = (1 + lever) ** 2 * near_mm2 + lever**2 * far_mm2
         met = (across**2).sum(axis=1) < sigma**2 * (variance_mm2 + own)
         result[has] = np.where(met[has], 1, -1)
         return result

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from recon.geometry.light_paths import LightPaths
+from recon.geometry.light_paths import LightPaths, ScreenNoise
 from recon.maps import Maps, Support
 from recon.status import PixelStatus
 from recon.surface.covering import with_covered
@@ -53,9 +53,9 @@ def paths_of(pixels: np.ndarray, *, aside_mm: float = 0.0) -> OwnPaths:
     number = np.flatnonzero(pixels)
     near = np.stack([X.ravel()[number] + aside_mm, Y.ravel()[number], np.zeros(len(number))], axis=1)
     along = np.tile([0.0, 0.0, 1.0], (len(number), 1))
-    covariance = np.tile(np.diag([1e-6, 1e-6, 0.0]), (len(number), 1, 1))
-    path = LightPaths(near, near - 40 * along, along, np.full(len(number), 40.0), covariance, covariance)
-    none = LightPaths(*(getattr(path, name)[:0] for name in LightPaths.__slots__))
+    noise = ScreenNoise(np.full((len(number), 2), 1e-3), np.eye(3)[:, :2])
+    path = LightPaths(near, near - 40 * along, along, np.full(len(number), 40.0), noise, noise)
+    none = path.some(slice(0, 0))
     return OwnPaths({"liquid": number, "air": number[:0]}, {"liquid": path, "air": none})
 
 
