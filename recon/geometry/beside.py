@@ -16,7 +16,7 @@ from scipy.ndimage import label, median, uniform_filter
 
 from recon.geometry.entry_point import EntryPoints
 from recon.geometry.light_paths import LightPaths
-from recon.media.index_estimate import robust_weights, scatter_covariance
+from recon.media.index_estimate import robust_weights, variance_by_bands
 from recon.sessions.manifest import Manifest
 
 # How far an unbent ray may seem to miss the camera: calibration errors of a tenth of a degree are ordinary.
@@ -31,8 +31,8 @@ DIRECTION_SIGMA = 2.0
 REGION_SIGMA = 1.0
 ROUNDING_MM = 1e-9
 LEVEL_ROUNDS = 8
-# Errors are alike where neighbours see the same pixels of the display.
-PATCH_PX = 16
+# Errors are alike along bands of rows and of columns, which see the same pixels of the display.
+BAND_PX = 16
 FEWEST_PIXELS = 100
 # The level is a plane if most of the candidates say so.
 PLANE_SHARE = 0.5
@@ -188,11 +188,11 @@ def _level_height(
         each = weight[:, None] * smooth
         level = -(each * apart).sum() / (each * parting).sum()
         weight = robust_weights(np.linalg.norm(apart + level * parting, axis=1))
-    patch = np.unique(place // PATCH_PX, axis=0, return_inverse=True)[1].ravel()
-    variance = scatter_covariance(
-        parting.reshape(-1, 1), each.reshape(-1, 1), (apart + level * parting).ravel(), np.repeat(patch, 3)
+    row, column = np.repeat(place // BAND_PX, 3, axis=0).astype(np.int64).T
+    variance = variance_by_bands(
+        parting.reshape(-1, 1), each.reshape(-1, 1), (apart + level * parting).ravel(), row=row, column=column
     )
-    return float(level), float(np.sqrt(variance[0, 0]))
+    return float(level), float(np.sqrt(variance))
 
 
 def _weighted_median(values: np.ndarray, weight: np.ndarray) -> float:

@@ -7,7 +7,7 @@ are a smooth function of row and column, whose slopes are two tangents T; n·T =
 import numpy as np
 from jaxtyping import Float64
 
-from recon.media.index_estimate import IndexEstimate, index_variance, robust_weights
+from recon.media.index_estimate import IndexEstimate, robust_weights, variance_by_bands
 
 # Wide enough for the points' noise to average out, narrow enough for a third-order surface.
 BLOCK_PX = 11
@@ -68,7 +68,7 @@ def index_from_chords(point_mm: VectorMap, liquid: VectorMap, air: VectorMap, *,
     row, column = (
         np.tile(number, 2 * len(PLACES)) for number in np.divmod(np.flatnonzero(enough), point_mm.shape[1] // BLOCK_PX)
     )
-    variance = index_variance(regressor, regressor * weight[:, None], residual, row=row, column=column)
+    variance = variance_by_bands(regressor, regressor * weight[:, None], residual, row=row, column=column)
     return IndexEstimate(1 - 1 / ratio, float(np.sqrt(variance)) / ratio**2, int(known.sum()))
 
 

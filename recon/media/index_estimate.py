@@ -41,7 +41,7 @@ def scatter_covariance(
     return bread @ (summed.T @ summed) @ bread.T
 
 
-def index_variance(
+def variance_by_bands(
     regressors: Float64[np.ndarray, "equations unknowns"],
     instruments: Float64[np.ndarray, "equations unknowns"],
     residual: Float64[np.ndarray, " equations"],

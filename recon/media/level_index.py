@@ -7,7 +7,7 @@ all pixels and is found with the index; it also takes up a tilt of all paths ali
 import numpy as np
 from jaxtyping import Float64, Int64
 
-from recon.media.index_estimate import IndexEstimate, index_variance, robust_weights
+from recon.media.index_estimate import IndexEstimate, robust_weights, variance_by_bands
 
 FEWEST_PIXELS = 300
 ROUNDS = 8
@@ -59,7 +59,7 @@ def index_from_level(
         answer = np.linalg.solve((z * weight[:, None]).T @ a, (z * weight[:, None]).T @ b)
         weight = robust_weights(b - a @ answer)
     row, column = np.tile(_bands(place), (2, 1)).T
-    variance = index_variance(a, z * weight[:, None], b - a @ answer, row=row, column=column)
+    variance = variance_by_bands(a, z * weight[:, None], b - a @ answer, row=row, column=column)
     return IndexEstimate(float(answer[0]), float(np.sqrt(variance)), count)
 
 

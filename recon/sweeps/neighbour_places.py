@@ -8,12 +8,11 @@ what hangs on small differences (the liquid's index, registration) takes it for 
 But the footprints of some neighbours straddle two device pixels, and their curves tell to a hundredth of a pixel where. The map
 from camera to display is smooth, so a quadratic surface through a window, each place weighted by what its curve tells, says where
 in their intervals the others look. Nothing that a pixel's own curve told is given up: no place leaves its interval, none moves
-where the neighbourhood is not smooth, and places known as well as their neighbours' stay as they are.
+where the neighbourhood is not smooth, and places known as well as their neighbours' stay as they are. Beside an edge, where
+photos are compressed with errors that a smooth surface would follow, nothing is told.
 """
 
 from dataclasses import dataclass
-from itertools import product
-from math import comb
 
 import numpy as np
 from jaxtyping import Bool, Float, Float64
@@ -41,8 +40,6 @@ TERMS = ((0, 0), (1, 0), (0, 1), (2, 0), (1, 1), (0, 2))
 MOST_POWER = 2
 RIDGE = 1e-9
 BAND_BLOCKS = 16
-# A block may be told by the window of one of its neighbours.
-MARGIN_BLOCKS = 2
 
 Grid = Float[np.ndarray, "rows cols"]
 
@@ -77,7 +74,7 @@ def told_by_neighbours(
             asking = waiting[rows] & (reach_px[rows] >= smallest_px)
             if not asking.any():
                 continue
-            surfaces = _surfaces(place_px, sd_px, usable, rows, block_px=block_px).smoothest()
+            surfaces = _surfaces(place_px, sd_px, usable, rows, block_px=block_px)
             own, own_sd = place_px[rows], sd_px[rows].astype(np.float64)
             told, told_sd, share, rough = (one[: len(own), : own.shape[1]] for one in surfaces.in_blocks())
             with np.errstate(invalid="ignore"):
@@ -104,33 +101,6 @@ class _Surfaces:
     share_px: np.ndarray
     block_px: int
 
-    def smoothest(self) -> "_Surfaces":
-        """Return the surfaces of all blocks but the outermost: where a window is rough, that of the smoothest window about.
-
-        A window across an edge says nothing, but one of those that hold the block may lie on its side of the edge alone.
-        """
-        own = self.roughness[1:-1, 1:-1]
-        row, col = (one[1:-1, 1:-1] for one in np.mgrid[: self.roughness.shape[0], : self.roughness.shape[1]])
-        least, shift = own.copy(), np.zeros((2, *own.shape), dtype=np.int64)
-        for down, right in product((-1, 0, 1), repeat=2):
-            there = (
-                slice(1 + down, self.roughness.shape[0] - 1 + down),
-                slice(1 + right, self.roughness.shape[1] - 1 + right),
-            )
-            better = (own >= LARGEST_ROUGHNESS) & (self.roughness[there] < least) & np.isfinite(self.share_px[there])
-            np.copyto(least, self.roughness[there], where=better)
-            for axis, by in enumerate((down, right)):
-                shift[axis][better] = by
-        row, col = row + shift[0], col + shift[1]
-        coefficients, root = self.coefficients[:, row, col], self.root[:, :, row, col]
-        lent = np.nonzero(shift.any(axis=0))
-        # A window is three blocks, and goes from −1 to 1.
-        every = np.array([[_moved_terms(-2 / 3 * down, -2 / 3 * right) for right in (-1, 0, 1)] for down in (-1, 0, 1)])
-        moved = every[tuple(1 + shift[:, lent[0], lent[1]])]
-        coefficients[:, lent[0], lent[1]] = np.einsum("nij,in->jn", moved, coefficients[:, lent[0], lent[1]])
-        root[:, :, lent[0], lent[1]] = np.einsum("nij,kin->kjn", moved, root[:, :, lent[0], lent[1]])
-        return _Surfaces(coefficients, root, least, self.share_px[row, col], self.block_px)
-
     def in_blocks(self) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
         """Return place, sd, share and whether the window is rough for every pixel of the blocks, on the pixels' grid."""
         position = (np.arange(self.block_px) - (self.block_px - 1) / 2) * (2 / (3 * self.block_px))
@@ -138,8 +108,8 @@ class _Surfaces:
         shape = tuple(self.block_px * size for size in self.roughness.shape)
         place = np.einsum("kij,krc->ricj", terms, self.coefficients, optimize=True).reshape(shape)
         variance = np.zeros(shape)
-        for row in self.root:
-            part = np.einsum("kij,krc->ricj", terms, row, optimize=True).reshape(shape)
+        for k, row in enumerate(self.root):
+            part = np.einsum("kij,krc->ricj", terms[: k + 1], row[: k + 1], optimize=True).reshape(shape)
             variance += np.square(part, out=part)
         widened = np.sqrt(np.maximum(self.roughness, 1.0))
         sd = np.sqrt(variance, out=variance) * self._spread(widened)
@@ -147,15 +117,6 @@ class _Surfaces:
 
     def _spread(self, values: np.ndarray) -> np.ndarray:
         return values.repeat(self.block_px, axis=0).repeat(self.block_px, axis=1)
-
-
-def _moved_terms(down: float, right: float) -> Float64[np.ndarray, "6 6"]:
-    """Return the matrix that makes a surface's terms at (row + down, column + right) of those at (row, column)."""
-    moved = np.zeros((len(TERMS), len(TERMS)))
-    for at, (i, j) in enumerate(TERMS):
-        for k, m in product(range(i + 1), range(j + 1)):
-            moved[at, TERMS.index((k, m))] = comb(i, k) * comb(j, m) * down ** (i - k) * right ** (j - m)
-    return moved
 
 
 def _surfaces(
@@ -201,15 +162,14 @@ def _surfaces(
 def _padded(
     place_px: np.ndarray, sd_px: np.ndarray, usable: np.ndarray, rows: slice, block_px: int
 ) -> tuple[np.ndarray, np.ndarray]:
-    """Return weights and places of a band of rows in whole blocks, with a margin on each side; zeros where unusable."""
-    margin = MARGIN_BLOCKS * block_px
-    above, below = max(rows.start - margin, 0), min(rows.stop + margin, len(place_px))
+    """Return weights and places of a band of rows in whole blocks, with one more on each side; zeros where unusable."""
+    above, below = max(rows.start - block_px, 0), min(rows.stop + block_px, len(place_px))
     part = slice(above, below)
     band_rows, cols = -(-(rows.stop - rows.start) // block_px) * block_px, place_px.shape[1]
-    before = above - rows.start + margin
+    before = above - rows.start + block_px
     padding = (
-        (before, band_rows + 2 * margin - before - (below - above)),
-        (margin, -cols % block_px + margin),
+        (before, band_rows + 2 * block_px - before - (below - above)),
+        (block_px, -cols % block_px + block_px),
     )
     weight = np.zeros((below - above, cols))
     np.divide(1.0, sd_px[part].astype(np.float64) ** 2 + SUREST_PX**2, out=weight, where=usable[part])
