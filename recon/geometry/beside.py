@@ -12,7 +12,7 @@ from dataclasses import dataclass
 
 import numpy as np
 from jaxtyping import Bool, Float64
-from scipy.ndimage import label, median, uniform_filter
+from scipy.ndimage import label, maximum_filter, median, uniform_filter
 
 from recon.geometry.entry_point import EntryPoints
 from recon.geometry.light_paths import LightPaths
@@ -84,7 +84,21 @@ def liquid_surface(
     past = straight & on_level & aligned
     past &= _in_level_regions(past, in_sd, pixels=pixels, shape=shape)
     bent = on_level & aligned & ~past
-    return past | (bent & _in_level_regions(bent, in_sd, pixels=pixels, shape=shape))
+    seen = past | (bent & _in_level_regions(bent, in_sd, pixels=pixels, shape=shape))
+    # Along the object's outline photos are compressed with errors of their own, which lift a crossing far off the level.
+    unbent = np.linalg.norm(_miss(air, camera_mm), axis=1) <= np.maximum(
+        STRAIGHT_RAD, DIRECTION_SIGMA * direction_sd_rad
+    )
+    return seen | (unbent & aligned & _beside(past, pixels=pixels, shape=shape))
+
+
+def _beside(
+    found: Bool[np.ndarray, " pixels"], *, pixels: np.ndarray, shape: tuple[int, int]
+) -> Bool[np.ndarray, " pixels"]:
+    """Tell which pixels have one of ``found`` in their neighbourhood."""
+    grid = np.zeros(shape, dtype=bool)
+    grid.ravel()[pixels[found]] = True
+    return maximum_filter(grid, NEIGHBOURHOOD_PX).ravel()[pixels]
 
 
 def _in_level_regions(
@@ -119,9 +133,7 @@ def straight_paths(
 
     ``pixels`` are the flat indices into ``shape`` of the paths.
     """
-    to_camera = camera_mm - air.near_mm
-    along = (to_camera * air.direction).sum(axis=1, keepdims=True)
-    miss = (to_camera - along * air.direction) / np.linalg.norm(to_camera, axis=1, keepdims=True)
+    miss = _miss(air, camera_mm)
     size = np.linalg.norm(miss, axis=1, keepdims=True)
     miss *= np.minimum(1.0, STRAY_RAD / np.maximum(size, 1e-12))
     layers = np.column_stack([miss, np.minimum(direction_sd_rad, STRAY_RAD), np.ones(len(miss))])
@@ -132,6 +144,13 @@ def straight_paths(
     near = total.reshape(-1, layers.shape[1])[pixels]
     mean = near[:, :4] / near[:, 4:]
     return np.linalg.norm(mean[:, :3], axis=1) <= np.maximum(STRAIGHT_RAD, DIRECTION_SIGMA * mean[:, 3])
+
+
+def _miss(air: LightPaths, camera_mm: Float64[np.ndarray, " 3"]) -> Float64[np.ndarray, "pixels 3"]:
+    """Return by how much each path misses the camera's centre, seen from the display, in rad."""
+    to_camera = camera_mm - air.near_mm
+    along = (to_camera * air.direction).sum(axis=1, keepdims=True)
+    return (to_camera - along * air.direction) / np.linalg.norm(to_camera, axis=1, keepdims=True)
 
 
 def _level(
