@@ -4,6 +4,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
+from recon.batch.cores import usable_cores
 from recon.calibration.calibration_file import read_calibration
 from recon.calibration.session_calibration import calibration_path
 from recon.checks.assumption_check import assumption_doubts
@@ -112,7 +113,15 @@ def _reconstruct(
         apart = shared_area(crossing, shape=shape)
         own = OwnPaths.of(sweeps, manifest, np.flatnonzero(np.isin(status, COVERABLE)))
     maps = maps_of(status, crossing, shape=shape, method=settings.method)
-    surface = surface_of(maps, crossing, manifest, method=settings.method, own=own, apart=apart)
+    surface = surface_of(
+        maps,
+        crossing,
+        manifest,
+        method=settings.method,
+        own=own,
+        apart=apart,
+        threads=settings.threads or usable_cores(),
+    )
     ratio: float | None = None
     doubts: tuple[str, ...] = ()
     if settings.method == "full":

@@ -1,5 +1,6 @@
 """Where each pixel looks, across the mean line of sight: smoothed as far as the paths' own noise explains the residuals."""
 
+from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
 from functools import cache
 
@@ -8,7 +9,7 @@ from jaxtyping import Float64
 from scipy.stats import chi2
 
 from recon.surface.ray_chords import Mask, ScalarMap, VectorMap
-from recon.surface.tiles import inside, tiles
+from recon.surface.tiles import Part, inside, tiles
 from recon.surface.window_quadratic import fit_windows
 
 # Half-widths of the windows that are tried, each only where the one before it held.
@@ -34,8 +35,13 @@ def lateral_places(
     normal: VectorMap,
     path_covariance: Float64[np.ndarray, "rows cols 3 3"],
     used: Mask,
+    *,
+    threads: int = 1,
 ) -> LateralPlaces:
-    """Smooth the places across the mean line of sight, over windows whose residuals are those of the paths' noise."""
+    """Smooth the places across the mean line of sight, over windows whose residuals are those of the paths' noise.
+
+    So many ``threads`` go through the tiles.
+    """
     sight = direction[used].mean(axis=0)
     axes = frame_along(sight / np.linalg.norm(sight))
     shift = along_surface(path_covariance[used], direction[used], normal[used])
@@ -46,7 +52,9 @@ def lateral_places(
         variance[axis][used] = np.maximum(own, np.median(own) / SUREST**2)
     weight = np.where(used & (variance > 0), 1 / np.where(variance > 0, variance, 1.0), 0.0)
     place, left = np.where(used, measured, np.nan), variance.copy()
-    for core, wide in tiles(used, border=max(HALF_WIDTHS_PX)):
+
+    def smooth(tile: tuple[Part, Part]) -> None:
+        core, wide = tile
         inner = inside(core, wide)
         rows, columns = _grid(wide)
         nothing = np.empty((0, *rows.shape))
@@ -68,6 +76,9 @@ def lateral_places(
                 better = held[inner] & (spread < left[axis][core])
                 place[axis][core] = np.where(better, found, place[axis][core])
                 left[axis][core] = np.where(better, spread, left[axis][core])
+
+    with ThreadPoolExecutor(threads) as pool:
+        list(pool.map(smooth, tiles(used, border=max(HALF_WIDTHS_PX))))
     return LateralPlaces(place, left, axes)
 
 

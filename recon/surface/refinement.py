@@ -6,6 +6,7 @@ paths meet it, gives point and normal there. A window is used only where its res
 creases, steps and ripples stay.
 """
 
+from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
 from itertools import pairwise
 
@@ -16,7 +17,7 @@ from recon.surface.fusion import FusedSurface
 from recon.surface.height_patch import Patch, Sight, against_own_normals, like_noise, own_slopes, patch_of, whole_bias
 from recon.surface.lateral_places import LateralPlaces, along_surface, frame_along, lateral_places
 from recon.surface.ray_chords import Mask, ScalarMap, VectorMap
-from recon.surface.tiles import inside, tiles
+from recon.surface.tiles import Part, inside, tiles
 from recon.surface.window_quadratic import fit_windows
 
 # Half-widths of the windows that are tried, each only where the one before it held.
@@ -49,6 +50,8 @@ def refine_surface(
     normal: VectorMap,
     normal_sd_rad: ScalarMap,
     path_covariance: Float64[np.ndarray, "rows cols 3 3"],
+    *,
+    threads: int = 1,
 ) -> RefinedSurface:
     """Refine a fused surface.
 
@@ -60,14 +63,20 @@ def refine_surface(
         What was fused.
     path_covariance
         Covariance of a shift of each light path at its point, in mm².
+    threads
+        How many tiles are refined at a time; the result is the same.
     """
     used = np.isfinite(fused.point_mm).all(axis=2)
     result = _own_measurement(fused, direction, normal, normal_sd_rad, path_covariance, used)
     if not used.any():
         return result
-    lateral = lateral_places(fused.point_mm, direction, normal, path_covariance, used)
-    for core, wide in tiles(used, border=WIDEST_HALF_WIDTH_PX):
-        _refine_tile(result, fused, direction, normal, normal_sd_rad, lateral, used, core, wide)
+    lateral = lateral_places(fused.point_mm, direction, normal, path_covariance, used, threads=threads)
+
+    def refine(tile: tuple[Part, Part]) -> None:
+        _refine_tile(result, fused, direction, normal, normal_sd_rad, lateral, used, *tile)
+
+    with ThreadPoolExecutor(threads) as pool:
+        list(pool.map(refine, tiles(used, border=WIDEST_HALF_WIDTH_PX)))
     return result
 
 

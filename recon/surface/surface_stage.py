@@ -46,6 +46,7 @@ def surface_of(
     method: Method,
     own: OwnPaths | None = None,
     apart: Mask | None = None,
+    threads: int = 1,
 ) -> Surface:
     """Make the mesh: normals integrated on the camera's rays (paper), or positions and normals together (full).
 
@@ -55,7 +56,8 @@ def surface_of(
     if not maps.valid().any():
         return Surface(maps, None, ("No point was found, so there is no mesh.",))
     if method == "full":
-        surface = _fused_apart(maps, crossing, apart, n_liquid=manifest.n_liquid(), n_air=manifest.n_air)
+        media = {"n_liquid": manifest.n_liquid(), "n_air": manifest.n_air}
+        surface = _fused_apart(maps, crossing, apart, **media, threads=threads)
         whole = surface if own is None else with_covered(without_strays(surface), own)
         return Surface(whole, mesh_from_point_map(whole.point_mm, whole.normal, whole.with_point()))
     return integrated_surface(maps, manifest.camera)
@@ -80,14 +82,16 @@ def integrated_surface(maps: Maps, camera: CameraBody) -> Surface:
     return Surface(maps, mesh_from_point_map(surface.point_mm, maps.normal, valid))
 
 
-def _fused_apart(maps: Maps, crossing: Crossing, apart: Mask | None, *, n_liquid: float, n_air: float) -> Maps:
+def _fused_apart(
+    maps: Maps, crossing: Crossing, apart: Mask | None, *, n_liquid: float, n_air: float, threads: int = 1
+) -> Maps:
     """Fuse all pixels, and the others without those that are ``apart``, which lean on them but must not pull them."""
-    whole = fused_surface(maps, crossing, n_liquid=n_liquid, n_air=n_air)
+    whole = fused_surface(maps, crossing, n_liquid=n_liquid, n_air=n_air, threads=threads)
     if apart is None or not apart.any():
         return whole
     there = apart.ravel()[crossing.pixels]
     others = replace(crossing, status=np.where(there, np.uint8(PixelStatus.MASKED_OUT), crossing.status))
-    rest = fused_surface(maps, others, n_liquid=n_liquid, n_air=n_air)
+    rest = fused_surface(maps, others, n_liquid=n_liquid, n_air=n_air, threads=threads)
     names = ("point_mm", "normal", "sd_mm", "status", "normal_sd_rad", "across_sd_mm", "support")
     joined = {}
     for name in names:
@@ -96,7 +100,7 @@ def _fused_apart(maps: Maps, crossing: Crossing, apart: Mask | None, *, n_liquid
     return replace(maps, **joined)
 
 
-def fused_surface(maps: Maps, crossing: Crossing, *, n_liquid: float, n_air: float) -> Maps:
+def fused_surface(maps: Maps, crossing: Crossing, *, n_liquid: float, n_air: float, threads: int = 1) -> Maps:
     """Fuse positions and normals on the paths in liquid, then refine points and normals where their neighbours allow it.
 
     Pixels with parallel paths get their point from their neighbours. All of it happens in the part of the photo that holds the
@@ -106,7 +110,13 @@ def fused_surface(maps: Maps, crossing: Crossing, *, n_liquid: float, n_air: flo
     inner = crossing.some(surface_pixel)
     shape = (maps.status.shape[0], maps.status.shape[1])
     window = PhotoWindow.about(inner.pixels, shape, margin_px=MARGIN_PX)
-    found = _fused(replace(inner, pixels=window.numbers(inner.pixels)), window.shape, n_liquid=n_liquid, n_air=n_air)
+    found = _fused(
+        replace(inner, pixels=window.numbers(inner.pixels)),
+        window.shape,
+        n_liquid=n_liquid,
+        n_air=n_air,
+        threads=threads,
+    )
     status = maps.status.copy()
     surface = status[window.part]
     lost = (surface == PixelStatus.OK) & ~found.covered
@@ -144,7 +154,7 @@ class _Fused:
     outlier: np.ndarray
 
 
-def _fused(crossing: Crossing, shape: tuple[int, int], *, n_liquid: float, n_air: float) -> _Fused:
+def _fused(crossing: Crossing, shape: tuple[int, int], *, n_liquid: float, n_air: float, threads: int) -> _Fused:
     """Fuse the crossings, all of which are of the surface.
 
     A pixel's path is the mean over its footprint. Liquid bends light less than air at the same surface, so its mean path runs
@@ -172,7 +182,12 @@ def _fused(crossing: Crossing, shape: tuple[int, int], *, n_liquid: float, n_air
     )
     distance = np.nan_to_num(fused.distance_mm.ravel()[crossing.pixels])
     refined = refine_surface(
-        fused, direction, normal, normal_sd_rad, on_grid(liquid.covariance_at(distance), everywhere)
+        fused,
+        direction,
+        normal,
+        normal_sd_rad,
+        on_grid(liquid.covariance_at(distance), everywhere),
+        threads=threads,
     )
     covered = np.isfinite(refined.point_mm).all(axis=2) & ~fused.outlier
     for values in (refined.point_mm, refined.normal, refined.sd_mm, refined.normal_sd_rad, refined.across_sd_mm):
