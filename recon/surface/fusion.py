@@ -11,7 +11,7 @@ from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
-from jaxtyping import Float64
+from jaxtyping import Float32, Float64
 from scipy.ndimage import correlate1d, distance_transform_edt, median_filter
 from scipy.sparse import csr_array
 
@@ -47,9 +47,14 @@ DRAW_WINDOW_PX = 9
 DRAW_TOLERANCE = 1e-2  # of a draw, of which twelve tell an sd to a tenth
 DRAW_SEED = 20180601
 
-# For a surface at the distances given, what draws one error of every pixel's distance [rows, cols] and normal [rows, cols, 3]
-# from the noise of its measurement.
-NoiseDraw = Callable[[ScalarMap], Callable[[np.random.Generator], tuple[ScalarMap, VectorMap]]]
+# So many of them also tell what the lateral places and the surface have in common.
+SLIDE_DRAWS = 4
+
+# Draws one error of every pixel's distance [rows, cols] and normal [rows, cols, 3] from the noise of its measurement, and by how
+# much its path slides along the surface [rows, cols, 3].
+NoiseDraw = Callable[[np.random.Generator], tuple[ScalarMap, VectorMap, VectorMap]]
+# Prepares such draws for a surface at the distances given.
+NoiseAt = Callable[[ScalarMap], NoiseDraw]
 # Reads the measured distances and their standard deviations again, for a surface near the distances given.
 Remeasure = Callable[[ScalarMap], tuple[ScalarMap, ScalarMap]]
 
@@ -62,12 +67,13 @@ class FusedSurface:
     (0 where there was none); ``outlier`` marks pixels that agree with none about them. ``normal_scale`` and ``position_scale``
     tell how many times larger the residuals are than the standard deviations promised (never below 1). ``distance_error_mm``
     holds draws of the error of ``distance_mm``: what independent draws of all measurements' noise do to it. Their mean square is
-    the variance.
+    the variance. ``slide_mm`` tells of the first of these draws how far each path then meets the surface from where it should.
     """
 
     distance_mm: ScalarMap
     distance_sd_mm: ScalarMap
     distance_error_mm: Float64[np.ndarray, "draws rows cols"]
+    slide_mm: Float32[np.ndarray, "slides rows cols 3"]
     point_mm: VectorMap
     position_weight: ScalarMap
     outlier: Mask
@@ -93,7 +99,7 @@ def fuse_on_rays(
     mask: Mask,
     *,
     remeasure: Remeasure | None = None,
-    noise: NoiseDraw | None = None,
+    noise: NoiseAt | None = None,
     rounds: int = ROUNDS,
 ) -> FusedSurface:
     """Find the surface that best explains triangulated distances and normals at once.
@@ -113,7 +119,7 @@ def fuse_on_rays(
         Reads distances and standard deviations anew near each round's surface; without it they stay as they are.
     noise
         Draws the errors of distances and normals together, where they come from the same correspondences; without it,
-        they are independent, and the two tilts of a normal alike.
+        they are independent, the two tilts of a normal alike, and the paths known.
     rounds
         How often the equations are weighted anew (iteratively reweighted least squares).
 
@@ -144,12 +150,12 @@ def fuse_on_rays(
         pairs = _cut(_reweighted(chords.residual(graph, distance) / np.sqrt(chords.variance)), sheets)
         positions = _position_weights(rays, distance)
     errors = np.full((DRAWS, *used.shape), np.nan)
+    slides = np.zeros((SLIDE_DRAWS, *used.shape, 3), np.float32)
     if graph.pixels:
         last = _system(graph, rays, chords, pairs, positions)
         scales = (positions.scale, pairs.scale)
-        errors[:, used] = _errors(
-            graph, rays, chords, last, noise or _independent(rays, graph), distance, scales, solver
-        )
+        draw = _independent(rays, graph) if noise is None else noise(graph.on_grid(distance))
+        errors[:, used], slides[:, used] = _errors(graph, rays, chords, last, draw, scales, solver)
     outlier = np.zeros(used.shape, dtype=bool)
     outlier[used] = sheets.outlier
     point = np.full(origin_mm.shape, np.nan)
@@ -158,6 +164,7 @@ def fuse_on_rays(
         distance_mm=graph.on_grid(distance),
         distance_sd_mm=standard_deviation(errors, used),
         distance_error_mm=errors,
+        slide_mm=slides,
         point_mm=point,
         position_weight=graph.on_grid(positions.weight),
         outlier=outlier,
@@ -239,11 +246,12 @@ def _errors(
     chords: Chords,
     system: _System,
     noise: NoiseDraw,
-    distance: PerPixel,
     scales: tuple[float, float],
     solver: SparseSolver,
-) -> Float64[np.ndarray, "draws pixels"]:
+) -> tuple[Float64[np.ndarray, "draws pixels"], Float32[np.ndarray, "slides pixels 3"]]:
     """Return what draws of the measurements' noise do to the distances, through the very equations that were solved.
+
+    Beside that, how far the paths slide in the first of these draws.
 
     The equations need not be weighted by the true covariance of their noise for this to be the true spread of their answer: a
     normal serves two pairs on its line, and the distance comes from the same correspondences as the normal.
@@ -251,9 +259,11 @@ def _errors(
     rng = np.random.default_rng(DRAW_SEED)
     solve = solver.solver(system.matrix, relative_tolerance=DRAW_TOLERANCE)
     errors = np.empty((DRAWS, graph.pixels))
-    draw_noise = noise(graph.on_grid(distance))
-    for draw in errors:
-        distance_error, normal_error = draw_noise(rng)
+    slides = np.empty((SLIDE_DRAWS, graph.pixels, 3), np.float32)
+    for number, draw in enumerate(errors):
+        distance_error, normal_error, slide = noise(rng)
+        if number < SLIDE_DRAWS:
+            slides[number] = slide[graph.mask]
         tilt = scales[1] * normal_error[graph.mask]
         at_first = np.einsum("pi,pi->p", tilt[graph.first], chords.chord_mm)
         at_second = np.einsum("pi,pi->p", tilt[graph.second], chords.chord_mm)
@@ -261,20 +271,20 @@ def _errors(
         shift = np.where(rays.precision > 0, scales[0] * distance_error[graph.mask], 0.0)
         right = _gather(graph, chords, -system.chord_weight * per_chord, system.own_weight * shift)
         draw[:] = solve(right, np.zeros(graph.pixels))
-    return errors
+    return errors, slides
 
 
 def _independent(rays: Rays, graph: Neighbours) -> NoiseDraw:
     """Return draws of distances and normals that know nothing of each other, from the standard deviations alone."""
 
-    def draw(rng: np.random.Generator) -> tuple[ScalarMap, VectorMap]:
+    def draw(rng: np.random.Generator) -> tuple[ScalarMap, VectorMap, VectorMap]:
         tilt = np.sqrt(rays.tilt_variance)[:, None] * rng.standard_normal(rays.normal.shape)
         normal_error = np.zeros((*graph.mask.shape, 3))
         normal_error[graph.mask] = tilt - (tilt * rays.normal).sum(axis=1, keepdims=True) * rays.normal
         sd = np.sqrt(np.divide(1.0, rays.precision, out=np.zeros(graph.pixels), where=rays.precision > 0))
-        return graph.on_grid(sd * rng.standard_normal(graph.pixels)), normal_error
+        return graph.on_grid(sd * rng.standard_normal(graph.pixels)), normal_error, np.zeros_like(normal_error)
 
-    return lambda _distance_mm: draw
+    return draw
 
 
 def standard_deviation(

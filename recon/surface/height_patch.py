@@ -11,18 +11,21 @@ from scipy.stats import chi2
 from recon.surface.fusion import standard_deviation
 from recon.surface.lateral_places import LateralPlaces
 from recon.surface.ray_chords import Mask, ScalarMap, VectorMap
+from recon.surface.window_bias import Slopes, without_bias
 from recon.surface.window_quadratic import WindowFit
 
-Slopes = Float64[np.ndarray, "2 rows cols"]
-
-# One in a thousand smooth windows is turned down for its noise.
+# One in a thousand smooth normals is turned down for its noise.
 REJECTED_SHARE = 1e-3
+# Of smooth windows far fewer: the smaller one that takes the place of one that noise turned down errs more than its sd says.
+REJECTED_WINDOWS = 1e-5
 # Residuals of the fused surface are those of neighbours that share their normals: they count half.
 INDEPENDENT_SHARE = 0.5
-# The bias of a window is taken from this many pixels across.
-BIAS_WINDOW_PX = 17
 # The tilts of a window nine pixels wide are alike over it, so that more of them are needed for their variance.
-TILT_WINDOW_PX = 17
+TILT_WINDOW_PX = 33
+# The windows of lateral places and of slopes share their noise as draws tell where both are whole.
+SHARED_WHOLE_PX = 9
+# As many places as leave two more than a quadratic polynomial has terms.
+FEWEST_PLACES = 8
 NEWTON_STEPS = 4
 LARGEST_SQUARE = float(chi2.isf(REJECTED_SHARE, 1))
 # A window three pixels wide bends through a crease without a residual, but not without turning three of nine normals.
@@ -37,6 +40,7 @@ class Sight:
     sight: Float64[np.ndarray, " 3"]
     across: Float64[np.ndarray, "2 3"]
     variance: Float64[np.ndarray, "2 rows cols"]
+    error: Float64[np.ndarray, "2 slides rows cols"]
     middle_mm: Float64[np.ndarray, " 3"]
     unit_mm: float
     frame: Float64[np.ndarray, "3 3"]
@@ -60,6 +64,7 @@ class Sight:
             sight=frame @ lateral.axes[2],
             across=lateral.axes[:2] @ frame.T,
             variance=lateral.variance[(slice(None), *wide)] / unit_mm**2,
+            error=lateral.error_mm[(slice(None), slice(None), *wide)] / unit_mm,
             middle_mm=middle_mm,
             unit_mm=unit_mm,
             frame=frame,
@@ -82,13 +87,15 @@ def patch_of(
     place: Sight,
     mask: Mask,
     before: Slopes,
+    trust: ScalarMap,
     *,
     whole_bias: float,
 ) -> tuple[Patch, Slopes]:
     """Let each pixel's line of sight meet its polynomial, and carry the draws and the lateral place's sd along.
 
-    ``before`` are the slopes of the next smaller window; those of this one are returned for the next larger. The bias
-    is ``whole_bias`` times their difference.
+    ``before`` are the slopes of the next smaller window; those of this one are returned for the next larger. ``whole_bias`` times
+    their difference, which counts by its ``trust`` (0 to 1), is the bias of this one: a window across a crease says nothing of
+    others.
     """
     sight = place.sight
     along = np.zeros(mask.shape)
@@ -100,62 +107,74 @@ def patch_of(
         rate = np.where(np.abs(rate) > 1e-3, rate, np.copysign(1e-3, rate))
         along = along + (height - point[..., 2]) / rate
     point = place.start + along[..., None] * sight
-    upward = np.stack([-slopes[0], -slopes[1], np.ones(mask.shape)], axis=-1)
-    length = np.linalg.norm(upward, axis=-1)
-    normal = upward / length[..., None]
+    length = np.sqrt(1 + slopes[0] ** 2 + slopes[1] ** 2)
+    normal = _unit(-slopes[0], -slopes[1])
     facing = normal @ sight
     facing = np.where(np.abs(facing) > 1e-3, facing, 1e-3)
     # How the point and the normal move when the lateral place does.
     moves = [axis - (normal @ axis / facing)[..., None] * sight for axis in place.across]
     twice = fit.coefficients
     turn_variance, slide_variance = np.zeros(mask.shape), np.zeros(mask.shape)
-    for move, variance in zip(moves, place.variance, strict=True):
+    turns = np.zeros((2, place.error.shape[1], *mask.shape))
+    for move, variance, error in zip(moves, place.variance, place.error, strict=True):
         slide_variance += variance * (move**2).sum(axis=-1)
         bend_p = 2 * twice[3] * move[..., 0] + twice[4] * move[..., 1]
         bend_q = twice[4] * move[..., 0] + 2 * twice[5] * move[..., 1]
         turn_variance += variance * _tilt_squared(bend_p, bend_q, normal, length)
-    # A window at a rim is less sure of its slopes than one inside: what is alike is the noise, in units of that.
+        turns += np.stack([bend_p * error, bend_q * error])
     slope_p, slope_q, slope_variance = fit.drawn_slopes(point[..., 0], point[..., 1])
+    now = Slopes(np.stack([np.r_[slopes[0][None], slope_p], np.r_[slopes[1][None], slope_q]]), slope_variance)
+    clear, left = without_bias(now, before, trust, whole_bias=whole_bias)
+    # A window at a rim is less sure of its slopes than one inside: what is alike is the noise, in units of that.
     geometry = np.sqrt(slope_variance)
-    tilts = np.sqrt(_tilt_squared(slope_p, slope_q, normal, length)) / geometry
+    tilts = np.sqrt(_tilt_squared(clear[0, 1:], clear[1, 1:], normal, length)) / geometry
+    tilt_sd = geometry * standard_deviation(tilts, mask, window_px=TILT_WINDOW_PX)
+    turn_sd = np.sqrt(turn_variance)
+    alike = _correlation(clear[:, 1:], turns, tilt_sd, turn_sd, mask, normal, length)
+    noise_squared = tilt_sd**2 + turn_variance + 2 * alike * tilt_sd * turn_sd
     lifted = standard_deviation(fit.drawn_values(point[..., 0], point[..., 1]), mask) / length
-    now = np.stack(slopes)
-    bias_squared = whole_bias**2 * _bias_squared(now - before, mask, normal, length)
-    noise_squared = turn_variance + (geometry * standard_deviation(tilts, mask, window_px=TILT_WINDOW_PX)) ** 2
     patch = Patch(
         point=point,
-        normal=normal,
+        normal=_unit(-clear[0, 0], -clear[1, 0]),
         sd=np.sqrt(slide_variance + (lifted / facing) ** 2),
         across_sd=lifted,
-        normal_sd=np.sqrt(noise_squared + bias_squared),
+        normal_sd=np.sqrt(noise_squared + _tilt_squared(left[0], left[1], normal, length)),
     )
     return patch, now
 
 
-def whole_bias(half_width: int, smaller: int) -> float:
-    """Return a window's bias over what it differs by from that of a smaller window (0: the pixel's own normal, without bias).
+def _unit(p: ScalarMap, q: ScalarMap) -> VectorMap:
+    """Return the unit vectors along (p, q, 1)."""
+    upward = np.stack([p, q, np.ones_like(p)], axis=-1)
+    return upward / np.linalg.norm(upward, axis=-1, keepdims=True)
 
-    A cubic term c p³ gives the slope of the best quadratic polynomial over −h … h the bias c Σp⁴/Σp² = c (3h² + 3h − 1)/5.
+
+def _correlation(
+    tilts: Float64[np.ndarray, "2 draws rows cols"],
+    turns: Float64[np.ndarray, "2 slides rows cols"],
+    tilt_sd: ScalarMap,
+    turn_sd: ScalarMap,
+    mask: Mask,
+    normal: np.ndarray,
+    length: np.ndarray,
+) -> ScalarMap:
+    """Return how the tilts of a window correlate with the turns by its lateral place, which comes from the same paths.
+
+    A path that is off by noise sees the normal of another place; looking for the normal at the place that it tells puts much of
+    that right. Near a rim, where windows are cut, nothing is taken for granted.
     """
-    bias = (3 * half_width**2 + 3 * half_width - 1) / 5
-    return bias / (bias - ((3 * smaller**2 + 3 * smaller - 1) / 5 if smaller else 0.0))
-
-
-def _bias_squared(change: Slopes, mask: Mask, normal: np.ndarray, length: np.ndarray) -> ScalarMap:
-    """Return the squared tilt by which a larger window differs from a smaller one on the mean of many pixels.
-
-    It is what a quadratic polynomial cannot follow, and what noise leaves of that mean. The latter is not taken off: a bias as
-    large could hide in it.
-    """
-    window = (BIAS_WINDOW_PX, BIAS_WINDOW_PX)
-    count = cv2.boxFilter(mask.astype(np.float64), cv2.CV_64F, window, normalize=False, borderType=cv2.BORDER_CONSTANT)
-    held = np.where(mask, np.clip(np.nan_to_num(change), -1e3, 1e3), 0.0)
-    mean = [
-        cv2.boxFilter(slope, cv2.CV_64F, window, normalize=False, borderType=cv2.BORDER_CONSTANT)
-        / np.maximum(count, 1.0)
-        for slope in held
-    ]
-    return _tilt_squared(mean[0], mean[1], normal, length)
+    both = tilts[:, : turns.shape[1]] + turns
+    apart = tilts[:, : turns.shape[1]] - turns
+    shared = _tilt_squared(both[0], both[1], normal, length) - _tilt_squared(apart[0], apart[1], normal, length)
+    scale = 4 * tilt_sd * turn_sd
+    whole = cv2.erode(mask.astype(np.uint8), np.ones((SHARED_WHOLE_PX, SHARED_WHOLE_PX), np.uint8)) > 0
+    each = np.divide(shared.mean(axis=0), scale, out=np.zeros(mask.shape), where=whole & (scale > 0))
+    window = (TILT_WINDOW_PX, TILT_WINDOW_PX)
+    total, count = (
+        cv2.boxFilter(values, cv2.CV_64F, window, normalize=False, borderType=cv2.BORDER_CONSTANT)
+        for values in (each, whole.astype(np.float64))
+    )
+    return np.where(whole, np.clip(total / np.maximum(count, 1.0), -1.0, 1.0), 0.0)
 
 
 def _tilt_squared(slope_p: np.ndarray, slope_q: np.ndarray, normal: np.ndarray, length: np.ndarray) -> np.ndarray:
@@ -164,25 +183,19 @@ def _tilt_squared(slope_p: np.ndarray, slope_q: np.ndarray, normal: np.ndarray, 
     return np.maximum(slope_p**2 + slope_q**2 - along**2, 0.0) / length**2
 
 
-def own_slopes(normal: VectorMap, mask: Mask) -> Slopes:
-    """Return the slopes that the measured normals tell."""
-    up = np.where(mask, normal[..., 2], 1.0)
-    return np.stack([np.where(mask, -normal[..., axis] / up, 0.0) for axis in (0, 1)])
-
-
-def like_noise(fit: WindowFit, mask: Mask) -> Mask:
-    """Tell where the heights leave no more than their own noise does, which the draws show."""
+def beyond_noise(fit: WindowFit, mask: Mask) -> ScalarMap:
+    """Return what the heights leave over the most that their noise may leave, which the draws show; NaN with too few places."""
     expected = standard_deviation(np.sqrt(fit.drawn_misfit), mask) ** 2
     largest = _largest_share(int(fit.count.max(initial=0)))[fit.count.astype(np.int64)]
-    with np.errstate(invalid="ignore"):
-        return (fit.count >= 8) & (fit.misfit <= largest * expected)
+    with np.errstate(invalid="ignore", divide="ignore"):
+        return np.where(fit.count >= FEWEST_PLACES, fit.misfit / (largest * expected), np.nan)
 
 
 @cache
 def _largest_share(most: int) -> Float64[np.ndarray, " counts"]:
     """Return the largest misfit over the expected one of a smooth window, by the places that it uses, 0 to ``most``."""
     freedom = INDEPENDENT_SHARE * np.maximum(np.arange(most + 1) - 6, 1)
-    return np.asarray(chi2.isf(REJECTED_SHARE, freedom) / freedom)
+    return np.asarray(chi2.isf(REJECTED_WINDOWS, freedom) / freedom)
 
 
 def against_own_normals(fitted: VectorMap, measured: VectorMap, measured_sd_rad: ScalarMap) -> Mask:

@@ -5,7 +5,7 @@ from dataclasses import dataclass
 from functools import cache
 
 import numpy as np
-from jaxtyping import Float64
+from jaxtyping import Float32, Float64
 from scipy.stats import chi2
 
 from recon.surface.ray_chords import Mask, ScalarMap, VectorMap
@@ -22,10 +22,14 @@ SUREST = 20.0
 
 @dataclass(frozen=True, slots=True, eq=False)
 class LateralPlaces:
-    """Places across the mean line of sight [2, rows, cols], their variances, and the three axes (the last along the sight)."""
+    """Places across the mean line of sight, their variances, and the three axes (the last along the sight).
+
+    ``error_mm`` is what draws of the paths' noise do to the places.
+    """
 
     place_mm: Float64[np.ndarray, "2 rows cols"]
     variance: Float64[np.ndarray, "2 rows cols"]
+    error_mm: Float64[np.ndarray, "2 slides rows cols"]
     axes: Float64[np.ndarray, "3 3"]
 
 
@@ -35,12 +39,13 @@ def lateral_places(
     normal: VectorMap,
     path_covariance: Float64[np.ndarray, "rows cols 3 3"],
     used: Mask,
+    slide_mm: Float32[np.ndarray, "slides rows cols 3"],
     *,
     threads: int = 1,
 ) -> LateralPlaces:
     """Smooth the places across the mean line of sight, over windows whose residuals are those of the paths' noise.
 
-    So many ``threads`` go through the tiles.
+    ``slide_mm`` are draws of how far each path meets the surface from where it should. So many ``threads`` go through the tiles.
     """
     sight = direction[used].mean(axis=0)
     axes = frame_along(sight / np.linalg.norm(sight))
@@ -52,12 +57,13 @@ def lateral_places(
         variance[axis][used] = np.maximum(own, np.median(own) / SUREST**2)
     weight = np.where(used & (variance > 0), 1 / np.where(variance > 0, variance, 1.0), 0.0)
     place, left = np.where(used, measured, np.nan), variance.copy()
+    error = np.moveaxis(slide_mm @ axes[:2].T, -1, 0)
+    own_error = error.copy()
 
     def smooth(tile: tuple[Part, Part]) -> None:
         core, wide = tile
         inner = inside(core, wide)
         rows, columns = _grid(wide)
-        nothing = np.empty((0, *rows.shape))
         for axis in (0, 1):
             here, values = weight[axis][wide], measured[axis][wide]
             if not here.any():
@@ -66,7 +72,9 @@ def lateral_places(
             middle = values - centred
             held = here > 0
             for half_width in HALF_WIDTHS_PX:
-                fit = fit_windows(columns, rows, centred, nothing, here, half_width=half_width)
+                fit = fit_windows(
+                    columns, rows, centred, own_error[(axis, slice(None), *wide)], here, half_width=half_width
+                )
                 freedom = fit.count - 6
                 held &= (freedom >= 3) & (
                     fit.misfit < _largest_misfit(half_width)[np.maximum(freedom, 1).astype(np.int64)]
@@ -75,11 +83,13 @@ def lateral_places(
                 spread = fit.value_variance(columns, rows)[inner]
                 better = held[inner] & (spread < left[axis][core])
                 place[axis][core] = np.where(better, found, place[axis][core])
+                drawn = fit.drawn_values(columns, rows)[(slice(None), *inner)]
+                error[(axis, slice(None), *core)] = np.where(better, drawn, error[(axis, slice(None), *core)])
                 left[axis][core] = np.where(better, spread, left[axis][core])
 
     with ThreadPoolExecutor(threads) as pool:
         list(pool.map(smooth, tiles(used, border=max(HALF_WIDTHS_PX))))
-    return LateralPlaces(place, left, axes)
+    return LateralPlaces(place, left, error, axes)
 
 
 @cache

@@ -1,6 +1,5 @@
 """The two light paths of every pixel as the measurements that fusion asks for, near a surface that is roughly known."""
 
-from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
@@ -8,6 +7,7 @@ from jaxtyping import Bool, Float64, Int
 
 from recon.reconstruct import Crossing, Limits
 from recon.surface.curvature import curvature_of
+from recon.surface.fusion import NoiseDraw
 from recon.surface.lateral_places import along_surface
 from recon.surface.path_crossing import PathCrossing
 from recon.surface.path_noise import PathNoise
@@ -73,23 +73,24 @@ class PathMeasurement:
         below_mm = 0.5 * np.einsum("pij,pij->p", self._curvature(along), slide) / self.facing
         return self.on_grid(told_mm + below_mm, self.readable), self.on_grid(np.hypot(sd_mm, below_mm), self.readable)
 
-    def noise(self, distance_mm: ScalarMap) -> Callable[[np.random.Generator], tuple[ScalarMap, VectorMap]]:
+    def noise_at(self, distance_mm: ScalarMap) -> NoiseDraw:
         """Return what draws the errors of distances and normals on a surface at ``distance_mm``.
 
         The surface is sought where the shifted liquid path meets it, and its normal is another one there.
         """
         along, direction = distance_mm.ravel()[self.pixels], self.paths.liquid.direction
-        along_air_mm, curvature = self.crossing.along_air(along), self._curvature(along)
+        along_air, curvature = self.crossing.along_air(along), self._curvature(along)
 
-        def draw(rng: np.random.Generator) -> tuple[ScalarMap, VectorMap]:
-            liquid_mm, air_mm, normal_error = self.paths.draw(rng, along_liquid_mm=along, along_air_mm=along_air_mm)
+        def draw(rng: np.random.Generator) -> tuple[ScalarMap, VectorMap, VectorMap]:
+            liquid_mm, air_mm, normal_error = self.paths.draw(rng, along_liquid_mm=along, along_air_mm=along_air)
             slide = liquid_mm + ((liquid_mm * self.paths.normal).sum(axis=1) / self.facing)[:, None] * direction
-            there = np.einsum("pij,pj->pi", curvature, slide)
-            distance_error = self.crossing.by_shift(liquid_mm - air_mm)
-            return (
-                self.on_grid(distance_error, self.surface_pixel),
-                self.on_grid(normal_error - there, self.surface_pixel),
+            errors = (
+                self.crossing.by_shift(liquid_mm - air_mm),
+                normal_error - np.einsum("pij,pj->pi", curvature, slide),
+                slide,
             )
+            distance_error, tilt, along_surface_mm = (self.on_grid(each, self.surface_pixel) for each in errors)
+            return distance_error, tilt, along_surface_mm
 
         return draw
 

@@ -14,10 +14,11 @@ import numpy as np
 from jaxtyping import Float64, UInt8
 
 from recon.surface.fusion import FusedSurface
-from recon.surface.height_patch import Patch, Sight, against_own_normals, like_noise, own_slopes, patch_of, whole_bias
+from recon.surface.height_patch import Patch, Sight, against_own_normals, beyond_noise, patch_of
 from recon.surface.lateral_places import LateralPlaces, along_surface, frame_along, lateral_places
 from recon.surface.ray_chords import Mask, ScalarMap, VectorMap
 from recon.surface.tiles import Part, inside, tiles
+from recon.surface.window_bias import own_slopes, whole_bias
 from recon.surface.window_quadratic import fit_windows
 
 # Half-widths of the windows that are tried, each only where the one before it held.
@@ -70,7 +71,7 @@ def refine_surface(
     result = _own_measurement(fused, direction, normal, normal_sd_rad, path_covariance, used)
     if not used.any():
         return result
-    lateral = lateral_places(fused.point_mm, direction, normal, path_covariance, used, threads=threads)
+    lateral = lateral_places(fused.point_mm, direction, normal, path_covariance, used, fused.slide_mm, threads=threads)
 
     def refine(tile: tuple[Part, Part]) -> None:
         _refine_tile(result, fused, direction, normal, normal_sd_rad, lateral, used, *tile)
@@ -130,13 +131,15 @@ def _refine_tile(
     errors = np.where(fit_here, fused.distance_error_mm[(slice(None), *wide)] * lift / unit_mm, 0.0)
     weight = fit_here.astype(np.float64)
     place = Sight.of(lateral, wide, middle_mm=middle, unit_mm=unit_mm, frame=frame)
-    held = fit_here.copy()
+    held, trust = fit_here.copy(), weight
     tilted = normal[wide] @ frame.T
     before = own_slopes(tilted, fit_here)
     for smaller, half_width in pairwise((0, *HALF_WIDTHS_PX)):
         fit = fit_windows(local[..., 0], local[..., 1], local[..., 2], errors, weight, half_width=half_width)
-        held &= like_noise(fit, fit_here)
-        patch, before = patch_of(fit, place, fit_here, before, whole_bias=whole_bias(half_width, smaller))
+        beyond = beyond_noise(fit, fit_here)
+        held &= beyond <= 1
+        trust = np.minimum(trust, np.nan_to_num(np.maximum(beyond, 1.0) ** -2.0))
+        patch, before = patch_of(fit, place, fit_here, before, trust, whole_bias=whole_bias(half_width, smaller))
         held &= ~against_own_normals(patch.normal, tilted, normal_sd_rad[wide] * fused.normal_scale)
         _take_over(result, patch, held, core, wide, half_width, place)
 

@@ -178,7 +178,7 @@ def _fused(crossing: Crossing, shape: tuple[int, int], *, n_liquid: float, n_air
         normal_sd_rad,
         np.isfinite(normal).all(axis=2),
         remeasure=paths.remeasure,
-        noise=paths.noise,
+        noise=paths.noise_at,
     )
     distance = np.nan_to_num(fused.distance_mm.ravel()[crossing.pixels])
     refined = refine_surface(

@@ -7,6 +7,7 @@ from ray_field import crossed, exact_places, noisy_sweeps, scene_manifest
 from recon.evaluation.spread import angle_between_rad
 from recon.maps import Maps, Support
 from recon.surface.surface_stage import surface_of
+from recon.surface.window_bias import Slopes, whole_bias, without_bias
 from recon.surface.window_quadratic import fit_windows
 from sim_backend.scene import load_scene
 from sim_backend.truth import Truth, compute_truth
@@ -46,6 +47,27 @@ def test_variance_in_the_middle_of_a_window_is_that_of_the_closed_form() -> None
     assert fit.value_variance(p, q)[4, 4] == pytest.approx(27 / 175, rel=1e-9)
 
 
+def test_slopes_of_a_surface_that_bends_ever_more_lose_the_bias_of_their_window_and_keep_it_as_left_without_draws() -> (
+    None
+):
+    q, p = np.indices((41, 41)) - 20.0
+    trust, cubic = np.ones(p.shape), 1e-3 * p**3
+    fits = [fit_windows(p, q, cubic, np.zeros((1, *p.shape)), trust, half_width=half) for half in (2, 4)]
+    small, large = (
+        Slopes(np.stack([np.stack([fit.slopes(p, q)[0], 0 * p]), np.zeros((2, *p.shape))]), np.ones(p.shape))
+        for fit in fits
+    )
+    true = 3e-3 * p**2
+    clear, left = without_bias(large, small, trust, whole_bias=whole_bias(4, 2))
+    assert large.slope[0, 0, 20, 20] - true[20, 20] == pytest.approx(1e-3 * 11.8, rel=1e-9)
+    assert clear[0, 0, 20, 20] == pytest.approx(true[20, 20], abs=1e-12)
+    assert left[0, 20, 20] == pytest.approx(0, abs=1e-12)
+    measured = Slopes(np.stack([true, 0 * p])[:, None], 0 * p)
+    kept, left = without_bias(large, measured, trust, whole_bias=whole_bias(4, 0))
+    assert kept is large.slope
+    assert left[0, 20, 20] == pytest.approx(1e-3 * 11.8, rel=1e-9)
+
+
 def test_refined_normals_and_points_are_far_better_than_measured_ones(hemisphere: tuple[Maps, Maps, Truth]) -> None:
     before, after, truth = hemisphere
     both = before.valid() & after.valid() & (truth.status == 0)
@@ -61,6 +83,15 @@ def test_points_are_as_far_off_as_their_standard_deviations_say(hemisphere: tupl
     judged = after.valid() & (truth.status == 0)
     error = np.linalg.norm((after.point_mm - truth.point_mm)[judged], axis=1)
     assert np.sqrt(np.mean((error / after.sd_mm[judged]) ** 2)) == pytest.approx(1.0, abs=0.15)
+
+
+def test_normals_are_as_far_off_as_their_standard_deviations_say(hemisphere: tuple[Maps, Maps, Truth]) -> None:
+    _, after, truth = hemisphere
+    assert after.normal_sd_rad is not None
+    judged = after.valid() & (truth.status == 0)
+    ratio = angle_between_rad(after.normal[judged], truth.normal[judged]) / after.normal_sd_rad[judged]
+    assert np.sqrt(np.mean(ratio**2)) == pytest.approx(1.0, abs=0.15)
+    assert np.mean(ratio < np.sqrt(-np.log(0.05))) == pytest.approx(0.95, abs=0.02)
 
 
 def test_pixels_with_parallel_paths_are_marked_as_carried_by_their_neighbours(

@@ -1,0 +1,78 @@
+"""The bias of a window's slopes, which a quadratic polynomial leaves where the surface bends more than that, taken off."""
+
+from dataclasses import dataclass
+
+import cv2
+import numpy as np
+from jaxtyping import Float64
+
+from recon.surface.ray_chords import Mask, ScalarMap, VectorMap
+
+# The bias is taken from this many pixels across.
+BIAS_WINDOW_PX = 9
+# From the measured normals it is taken nearer by: beside a crease it is not that of pixels farther away.
+OWN_WINDOW_PX = 5
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Slopes:
+    """Slopes along both axes of a tile, of its heights and then of the draws of their errors.
+
+    ``variance`` is that of a slope for heights of variance one; 0 for the measured normals, of which there are no draws.
+    """
+
+    slope: Float64[np.ndarray, "2 fields rows cols"]
+    variance: ScalarMap
+
+
+def own_slopes(normal: VectorMap, mask: Mask) -> Slopes:
+    """Return the slopes that the measured normals tell."""
+    up = np.where(mask, normal[..., 2], 1.0)
+    slope = np.stack([np.where(mask, -normal[..., axis] / up, 0.0) for axis in (0, 1)])
+    return Slopes(slope[:, None], np.zeros(mask.shape))
+
+
+def whole_bias(half_width: int, smaller: int) -> float:
+    """Return a window's bias over what it differs by from that of a smaller window (0: the pixel's own normal, without bias).
+
+    A cubic term c p³ gives the slope of the best quadratic polynomial over −h … h the bias c Σp⁴/Σp² = c (3h² + 3h − 1)/5.
+    """
+    bias = (3 * half_width**2 + 3 * half_width - 1) / 5
+    return bias / (bias - ((3 * smaller**2 + 3 * smaller - 1) / 5 if smaller else 0.0))
+
+
+def without_bias(
+    now: Slopes, before: Slopes, trust: ScalarMap, *, whole_bias: float
+) -> tuple[Float64[np.ndarray, "2 fields rows cols"], Float64[np.ndarray, "2 rows cols"]]:
+    """Return the slopes of a window without its bias, and the bias that may be left.
+
+    The bias is ``whole_bias`` times the mean, over the pixels about each, of what the window differs by from the next smaller one
+    (``before``), which counts by its ``trust``. What the smaller one does to draws is known, so that they lose the same. From
+    measured normals it is not: then nothing is taken off, and all of it is left. Otherwise, left is what that mean itself smooths
+    away. Of what is left, noise is not taken off: a bias as large could hide in it.
+    """
+    # A window with hardly more places than terms says next to nothing, and would spoil those about it.
+    weight = trust / (now.variance + before.variance)
+    known = before.slope.shape[1]
+    change = whole_bias * (now.slope[:, :known] - before.slope)
+    if known < now.slope.shape[1]:
+        return now.slope, _mean(change, weight, window_px=OWN_WINDOW_PX)[:, 0]
+    bias = _mean(change, weight, window_px=BIAS_WINDOW_PX)
+    return now.slope - bias, (bias[:, :1] - _mean(bias[:, :1], weight, window_px=BIAS_WINDOW_PX))[:, 0]
+
+
+def _mean(
+    slopes: Float64[np.ndarray, "2 fields rows cols"], weight: ScalarMap, *, window_px: int
+) -> Float64[np.ndarray, "2 fields rows cols"]:
+    """Return the weighted mean over the window about each pixel."""
+    total = _box(weight, window_px)
+    total = np.where(total > 0, total, 1.0)
+    held = np.where(weight > 0, np.nan_to_num(slopes) * weight, 0.0)
+    return np.stack([np.stack([_box(field, window_px) / total for field in axis]) for axis in held])
+
+
+def _box(values: ScalarMap, window_px: int) -> ScalarMap:
+    window = (window_px, window_px)
+    return np.asarray(
+        cv2.boxFilter(values, cv2.CV_64F, window, normalize=False, borderType=cv2.BORDER_CONSTANT), np.float64
+    )
