@@ -17,6 +17,7 @@ from dataclasses import dataclass
 import numpy as np
 from jaxtyping import Bool, Float, Float64
 from numpy.lib.stride_tricks import sliding_window_view
+from scipy.ndimage import maximum_filter
 
 # A block's surface goes through it and its eight neighbours. Such a window must see some four device pixels, or hardly any
 # footprint in it straddles two; where it knows too little a larger one is asked.
@@ -40,6 +41,8 @@ TERMS = ((0, 0), (1, 0), (0, 1), (2, 0), (1, 1), (0, 2))
 MOST_POWER = 2
 RIDGE = 1e-9
 BAND_BLOCKS = 16
+# Beyond its own window a block asks whether those of its neighbours are smooth.
+MARGIN_BLOCKS = 2
 
 Grid = Float[np.ndarray, "rows cols"]
 
@@ -92,12 +95,14 @@ class _Surfaces:
     """The quadratic surfaces of a grid of blocks, by least squares through all places of each block's window.
 
     ``coefficients`` [6, block rows, block columns]; their covariance is Aᵀ D⁻¹ A with the rows ``root`` = D^-½ A [6, 6, …], and
-    ``roughness`` chi-square over degrees of freedom. ``share_px`` is the sd of each place if what all know were dealt out evenly.
+    ``roughness`` chi-square over degrees of freedom; blocks are ``rough`` where that is large there or beside. ``share_px`` is
+    the sd of each place if what all know were dealt out evenly.
     """
 
     coefficients: np.ndarray
     root: np.ndarray
     roughness: np.ndarray
+    rough: np.ndarray
     share_px: np.ndarray
     block_px: int
 
@@ -113,7 +118,7 @@ class _Surfaces:
             variance += np.square(part, out=part)
         widened = np.sqrt(np.maximum(self.roughness, 1.0))
         sd = np.sqrt(variance, out=variance) * self._spread(widened)
-        return place, sd, self._spread(self.share_px), self._spread(self.roughness >= LARGEST_ROUGHNESS)
+        return place, sd, self._spread(self.share_px), self._spread(self.rough)
 
     def _spread(self, values: np.ndarray) -> np.ndarray:
         return values.repeat(self.block_px, axis=0).repeat(self.block_px, axis=1)
@@ -150,11 +155,14 @@ def _surfaces(
     coefficients[0] += mean
     left = np.maximum(square - np.einsum("i...,i...->...", halfway, halfway), 0.0)
     known = np.where(few, 1.0, total)
+    roughness = left * known / np.maximum(number - len(TERMS), 1.0)
+    inner = (..., slice(1, -1), slice(1, -1))
     return _Surfaces(
-        coefficients=coefficients,
-        root=root / np.sqrt(known),
-        roughness=left * known / np.maximum(number - len(TERMS), 1.0),
-        share_px=np.where(few, np.inf, np.sqrt(number / known)),
+        coefficients=coefficients[inner],
+        root=(root / np.sqrt(known))[inner],
+        roughness=roughness[inner],
+        rough=maximum_filter(roughness >= LARGEST_ROUGHNESS, 3)[inner],
+        share_px=np.where(few, np.inf, np.sqrt(number / known))[inner],
         block_px=block_px,
     )
 
@@ -162,14 +170,15 @@ def _surfaces(
 def _padded(
     place_px: np.ndarray, sd_px: np.ndarray, usable: np.ndarray, rows: slice, block_px: int
 ) -> tuple[np.ndarray, np.ndarray]:
-    """Return weights and places of a band of rows in whole blocks, with one more on each side; zeros where unusable."""
-    above, below = max(rows.start - block_px, 0), min(rows.stop + block_px, len(place_px))
+    """Return weights and places of a band of rows in whole blocks, with a margin on each side; zeros where unusable."""
+    margin = MARGIN_BLOCKS * block_px
+    above, below = max(rows.start - margin, 0), min(rows.stop + margin, len(place_px))
     part = slice(above, below)
     band_rows, cols = -(-(rows.stop - rows.start) // block_px) * block_px, place_px.shape[1]
-    before = above - rows.start + block_px
+    before = above - rows.start + margin
     padding = (
-        (before, band_rows + 2 * block_px - before - (below - above)),
-        (block_px, -cols % block_px + block_px),
+        (before, band_rows + 2 * margin - before - (below - above)),
+        (margin, -cols % block_px + margin),
     )
     weight = np.zeros((below - above, cols))
     np.divide(1.0, sd_px[part].astype(np.float64) ** 2 + SUREST_PX**2, out=weight, where=usable[part])
