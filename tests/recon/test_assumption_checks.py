@@ -11,7 +11,6 @@ from recon.checks.shared_gaps import shared_area, shared_gaps, with_shared_gaps
 from recon.checks.wet_spots import GROWN_PX, WetSpot, spot_pixels, wet_spots
 from recon.reconstruct import Limits, cross_paths
 from recon.registration.registration_stage import registration_of
-from recon.registration.session_slips import SIGNIFICANT_SIGMA
 from recon.running.outcome import Outcome, reconstruct
 from recon.running.settings import Settings
 from recon.sessions.session import Session
@@ -46,7 +45,6 @@ def test_light_that_enters_again_is_no_slip_of_the_display_and_widens_the_standa
     session = traced_session(scene.model_copy(update={"specimen": part}), noise_px=0.1)
     registration = registration_of(session.sweeps, session.manifest)
     assert registration is not None
-    assert registration.sigma > SIGNIFICANT_SIGMA
     assert not registration.applied
     _, crossing = cross_paths(session.sweeps, session.manifest, method="full", limits=Limits())
     shape = (scene.camera.rows, scene.camera.columns)
