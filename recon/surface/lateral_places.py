@@ -71,10 +71,9 @@ def lateral_places(
             centred = np.where(here > 0, values - np.average(values, weights=here), 0.0)
             middle = values - centred
             held = here > 0
-            for half_width in HALF_WIDTHS_PX:
-                fit = fit_windows(
-                    columns, rows, centred, own_error[(axis, slice(None), *wide)], here, half_width=half_width
-                )
+            noise = own_error[(axis, slice(None), *wide)]
+            fits = fit_windows(columns, rows, centred, noise, here, half_widths=HALF_WIDTHS_PX)
+            for half_width, fit in zip(HALF_WIDTHS_PX, fits, strict=True):
                 freedom = fit.count - 6
                 held &= (freedom >= 3) & (
                     fit.misfit < _largest_misfit(half_width)[np.maximum(freedom, 1).astype(np.int64)]

@@ -134,8 +134,8 @@ def _refine_tile(
     held, trust = fit_here.copy(), weight
     tilted = normal[wide] @ frame.T
     before = own_slopes(tilted, fit_here)
-    for smaller, half_width in pairwise((0, *HALF_WIDTHS_PX)):
-        fit = fit_windows(local[..., 0], local[..., 1], local[..., 2], errors, weight, half_width=half_width)
+    fits = fit_windows(local[..., 0], local[..., 1], local[..., 2], errors, weight, half_widths=HALF_WIDTHS_PX)
+    for (smaller, half_width), fit in zip(pairwise((0, *HALF_WIDTHS_PX)), fits, strict=True):
         beyond = beyond_noise(fit, fit_here)
         held &= beyond <= 1
         trust = np.minimum(trust, np.nan_to_num(np.maximum(beyond, 1.0) ** -2.0))

@@ -26,7 +26,7 @@ def hemisphere() -> tuple[Maps, Maps, Truth]:
 def test_quadratic_polynomials_are_found_exactly() -> None:
     q, p = np.indices((12, 15)) / 4.0 - 1.5
     height = 0.3 - 0.2 * p + 0.7 * q + 0.1 * p * p - 0.4 * p * q + 0.25 * q * q
-    fit = fit_windows(p, q, height, np.stack([2 * height, -height]), np.ones(p.shape), half_width=2)
+    (fit,) = fit_windows(p, q, height, np.stack([2 * height, -height]), np.ones(p.shape), half_widths=(2,))
     along_p, along_q = fit.slopes(p, q)
     slope_p, slope_q = -0.2 + 0.2 * p - 0.4 * q, 0.7 - 0.4 * p + 0.5 * q
     assert np.allclose(fit.value(p, q), height, atol=1e-9)
@@ -40,10 +40,29 @@ def test_quadratic_polynomials_are_found_exactly() -> None:
     assert max(np.abs(fit.misfit).max(), np.abs(fit.drawn_misfit).max()) < 1e-9
 
 
+def test_windows_at_an_edge_are_fitted_as_least_squares_over_the_pixels_inside() -> None:
+    rng = np.random.default_rng(7)
+    q, p = np.indices((10, 11)) / 4.0 - 1.2
+    height, weight = rng.standard_normal(p.shape), rng.uniform(0.5, 2.0, p.shape) * (rng.uniform(size=p.shape) < 0.9)
+    widths = (2, 3, 4)
+    for half, fit in zip(
+        widths, fit_windows(p, q, height, np.empty((0, *p.shape)), weight, half_widths=widths), strict=True
+    ):
+        for row, col in ((0, 0), (1, 9), (5, 5), (9, 3)):
+            part = (slice(max(row - half, 0), row + half + 1), slice(max(col - half, 0), col + half + 1))
+            root, places, values = (each[part].ravel() for each in (np.sqrt(weight), (p + 1j * q), height))
+            x, y = places.real, places.imag
+            terms = np.stack([np.ones_like(x), x, y, x * x, x * y, y * y], axis=1)
+            expected, misfit, *_ = np.linalg.lstsq(root[:, None] * terms, root * values)
+            assert np.allclose(fit.coefficients[:, row, col], expected, rtol=1e-6, atol=1e-8)
+            assert fit.misfit[row, col] == pytest.approx(misfit[0], rel=1e-8)
+            assert fit.count[row, col] == np.count_nonzero(root)
+
+
 def test_variance_in_the_middle_of_a_window_is_that_of_the_closed_form() -> None:
     # Savitzky and Golay in two dimensions: the middle of 5 × 5 places has the weight 27/175.
     q, p = np.indices((9, 9)) - 4.0
-    fit = fit_windows(p, q, np.zeros((9, 9)), np.empty((0, 9, 9)), np.ones((9, 9)), half_width=2)
+    (fit,) = fit_windows(p, q, np.zeros((9, 9)), np.empty((0, 9, 9)), np.ones((9, 9)), half_widths=(2,))
     assert fit.value_variance(p, q)[4, 4] == pytest.approx(27 / 175, rel=1e-9)
 
 
@@ -52,7 +71,7 @@ def test_slopes_of_a_surface_that_bends_ever_more_lose_the_bias_of_their_window_
 ):
     q, p = np.indices((41, 41)) - 20.0
     trust, cubic = np.ones(p.shape), 1e-3 * p**3
-    fits = [fit_windows(p, q, cubic, np.zeros((1, *p.shape)), trust, half_width=half) for half in (2, 4)]
+    fits = fit_windows(p, q, cubic, np.zeros((1, *p.shape)), trust, half_widths=(2, 4))
     small, large = (
         Slopes(np.stack([np.stack([fit.slopes(p, q)[0], 0 * p]), np.zeros((2, *p.shape))]), np.ones(p.shape))
         for fit in fits
