@@ -4,48 +4,134 @@ A light path that is off by noise meets the surface beside the place that the pi
 normal is another one, and the surface lies below the tangent plane: both by the curvature.
 """
 
-import cv2
 import numpy as np
 from jaxtyping import Float64
 
+from recon.compiled import compiled
 from recon.surface.ray_chords import Mask, VectorMap
 
 WINDOW_PX = 9
 # Share of a window's spread that no direction falls short of: a line of pixels says nothing across itself.
 LINE = 1e-3
+# Sums over a window: the count, three of places, three of normals, nine of places by places, nine of normals by places.
+SUMS = 25
+TINY = np.finfo(float).tiny
 Tensors = Float64[np.ndarray, "rows cols 3 3"]
 
 
 def curvature_of(point_mm: VectorMap, normal: VectorMap, used: Mask) -> Tensors:
     """Return K in 1/mm, tangential, so that a step d along the surface turns the normal by K d; 0 outside the mask."""
-    mean_point = point_mm[used].mean(axis=0) if used.any() else np.zeros(3)
-    place = np.where(used[..., None], point_mm - mean_point, 0.0)
-    known = np.where(used[..., None], normal, 0.0)
-    count = _window_mean(used.astype(np.float64)[..., None])
-    with np.errstate(invalid="ignore", divide="ignore"):
-        mean_place, mean_normal = _window_mean(place) / count, _window_mean(known) / count
-        spread = _products(place, place) / count[..., None] - mean_place[..., :, None] * mean_place[..., None, :]
-        shared = _products(known, place) / count[..., None] - mean_normal[..., :, None] * mean_place[..., None, :]
-        up = mean_normal / np.linalg.norm(mean_normal, axis=2, keepdims=True)
-    result = np.zeros((*used.shape, 3, 3))
-    flat = np.eye(3) - up[used][:, :, None] * up[used][:, None, :]
-    inside = flat @ spread[used] @ flat
-    size = np.trace(inside, axis1=1, axis2=2)[:, None, None]
-    # A lone pixel spreads over nothing, and shows no bend.
-    size = np.maximum(size, LINE * np.median(size)) + np.finfo(float).tiny
-    # The normal's own direction is filled, so that the rest can be inverted.
-    inverse = np.linalg.inv(inside / size + (np.eye(3) - flat) + LINE * np.eye(3))
-    bent = flat @ (shared[used] / size) @ inverse @ flat
-    result[used] = 0.5 * (bent + np.swapaxes(bent, 1, 2))
+    result, size = np.zeros((*used.shape, 3, 3)), np.zeros(used.shape)
+    if used.any():
+        mean_point = point_mm[used].mean(axis=0)
+        point_mm, normal = np.ascontiguousarray(point_mm), np.ascontiguousarray(normal)
+        _curvatures(point_mm, normal, used, mean_point, 0.0, result, size)
+        least = LINE * float(np.median(size[used]))
+        # A lone pixel spreads over nothing, and shows no bend.
+        if (size[used] < least).any():
+            _curvatures(point_mm, normal, used, mean_point, least, result, size)
     return result
 
 
-def _window_mean(fields: Float64[np.ndarray, "rows cols fields"]) -> Float64[np.ndarray, "rows cols fields"]:
-    window = (WINDOW_PX, WINDOW_PX)
-    mean = cv2.boxFilter(fields, cv2.CV_64F, window, borderType=cv2.BORDER_CONSTANT)
-    return mean.reshape(fields.shape)
+@compiled
+def _curvatures(
+    point: np.ndarray,
+    normal: np.ndarray,
+    used: np.ndarray,
+    mean_point: np.ndarray,
+    least: float,
+    result: np.ndarray,
+    size: np.ndarray,
+) -> None:
+    """Write the curvature of every used pixel, and over what area its window spreads, which counts as ``least`` at least."""
+    rows, cols = used.shape
+    reach = WINDOW_PX // 2
+    ring, line, total = np.zeros((WINDOW_PX, SUMS, cols)), np.zeros(cols + 2 * reach), np.zeros((SUMS, cols))
+    spread, shared, tangents = np.empty((3, 3)), np.empty((3, 3)), np.empty((2, 3))
+    for ahead in range(rows + reach):
+        products = ring[ahead % WINDOW_PX]
+        products[:] = 0.0
+        if ahead < rows:
+            _write_products(point[ahead], normal[ahead], used[ahead], mean_point, products)
+        row = ahead - reach
+        if row < 0 or not used[row].any():
+            continue
+        for one in range(SUMS):
+            middle, here = line[reach : reach + cols], total[one]
+            middle[:] = 0.0
+            for slot in range(WINDOW_PX):
+                middle += ring[slot, one]
+            here[:] = 0.0
+            for offset in range(WINDOW_PX):
+                here += line[offset : offset + cols]
+        for col in range(cols):
+            if used[row, col]:
+                count = total[0, col]
+                for k in range(3):
+                    for j in range(3):
+                        spread[k, j] = total[7 + 3 * k + j, col] - total[1 + k, col] * total[1 + j, col] / count
+                        shared[k, j] = total[16 + 3 * k + j, col] - total[4 + k, col] * total[1 + j, col] / count
+                _write_tangents(total[4, col], total[5, col], total[6, col], tangents)
+                size[row, col] = _write_bend(spread, shared, tangents, count, least, result[row, col])
 
 
-def _products(first: VectorMap, second: VectorMap) -> Tensors:
-    outer = first[..., :, None] * second[..., None, :]
-    return _window_mean(outer.reshape(*first.shape[:2], 9)).reshape(outer.shape)
+@compiled
+def _write_products(
+    point: np.ndarray, normal: np.ndarray, used: np.ndarray, mean_point: np.ndarray, products: np.ndarray
+) -> None:
+    """Write what a row of pixels adds to the sums of the windows that hold them."""
+    own = np.empty(6)
+    for col in range(len(used)):
+        if used[col]:
+            for k in range(3):
+                own[k] = point[col, k] - mean_point[k]
+                own[3 + k] = normal[col, k]
+            products[0, col] = 1.0
+            for k in range(6):
+                products[1 + k, col] = own[k]
+                for j in range(3):
+                    products[7 + 3 * k + j, col] = own[k] * own[j]
+
+
+@compiled
+def _write_tangents(x: float, y: float, z: float, tangents: np.ndarray) -> None:
+    """Write two unit vectors at right angles to this one and to each other (Duff and others, JCGT 2017)."""
+    length = np.sqrt(x * x + y * y + z * z)
+    x, y, z = x / length, y / length, z / length
+    sign = np.copysign(1.0, z)
+    a = -1.0 / (sign + z)
+    b = x * y * a
+    tangents[0, 0], tangents[0, 1], tangents[0, 2] = 1.0 + sign * x * x * a, sign * b, -sign * x
+    tangents[1, 0], tangents[1, 1], tangents[1, 2] = b, sign + y * y * a, -y
+
+
+@compiled
+def _write_bend(
+    spread: np.ndarray, shared: np.ndarray, tangents: np.ndarray, count: float, least: float, bend: np.ndarray
+) -> float:
+    """Write the symmetric part of the change of normals over places within the tangents, and return the places' spread."""
+    one, other = tangents[0], tangents[1]
+    xx, xy, yy = _form(one, spread, one), _form(one, spread, other), _form(other, spread, other)
+    size = (xx + yy) / count
+    scale = count * (max(size, least) + TINY)
+    xx, xy, yy = xx / scale + LINE, xy / scale, yy / scale + LINE
+    determinant = scale * (xx * yy - xy * xy)
+    turned_x, turned_xy = _form(one, shared, one), _form(one, shared, other)
+    turned_yx, turned_y = _form(other, shared, one), _form(other, shared, other)
+    along = (turned_x * yy - turned_xy * xy) / determinant
+    across = (turned_y * xx - turned_yx * xy) / determinant
+    mixed = 0.5 * (turned_xy * xx - turned_x * xy + turned_yx * yy - turned_y * xy) / determinant
+    for a in range(3):
+        for b in range(3):
+            bend[a, b] = (
+                along * one[a] * one[b] + across * other[a] * other[b] + mixed * (one[a] * other[b] + other[a] * one[b])
+            )
+    return size
+
+
+@compiled
+def _form(left: np.ndarray, matrix: np.ndarray, right: np.ndarray) -> float:
+    total = 0.0
+    for a in range(3):
+        total += left[a] * (matrix[a, 0] * right[0] + matrix[a, 1] * right[1] + matrix[a, 2] * right[2])
+    return total
