@@ -11,10 +11,19 @@ from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
-from jaxtyping import Float32, Float64
-from scipy.ndimage import correlate1d, distance_transform_edt, median_filter
+from jaxtyping import Float32
+from scipy.ndimage import distance_transform_edt, median_filter
 from scipy.sparse import csr_array
 
+from recon.surface.error_draws import (
+    DRAW_TOLERANCE,
+    DRAWS,
+    SLIDE_DRAWS,
+    NoiseAt,
+    drawn_errors,
+    independent_noise,
+    standard_deviation,
+)
 from recon.surface.neighbours import Neighbours, components, neighbours_of, normal_equations
 from recon.surface.ray_chords import (
     Chords,
@@ -41,20 +50,6 @@ START_WINDOW_PX = 5
 START_SD = 3.0
 # Each round solves for a correction, which need not be known more closely than this share of itself.
 CORRECTION_TOLERANCE = 1e-4
-# Standard deviations are estimated from this many draws over this window: good to a tenth or better.
-DRAWS = 12
-DRAW_WINDOW_PX = 9
-DRAW_TOLERANCE = 1e-2  # of a draw, of which twelve tell an sd to a tenth
-DRAW_SEED = 20180601
-
-# So many of them also tell what the lateral places and the surface have in common.
-SLIDE_DRAWS = 4
-
-# Draws one error of every pixel's distance [rows, cols] and normal [rows, cols, 3] from the noise of its measurement, and by how
-# much its path slides along the surface [rows, cols, 3].
-NoiseDraw = Callable[[np.random.Generator], tuple[ScalarMap, VectorMap, VectorMap]]
-# Prepares such draws for a surface at the distances given.
-NoiseAt = Callable[[ScalarMap], NoiseDraw]
 # Reads the measured distances and their standard deviations again, for a surface near the distances given.
 Remeasure = Callable[[ScalarMap], tuple[ScalarMap, ScalarMap]]
 
@@ -72,7 +67,7 @@ class FusedSurface:
 
     distance_mm: ScalarMap
     distance_sd_mm: ScalarMap
-    distance_error_mm: Float64[np.ndarray, "draws rows cols"]
+    distance_error_mm: Float32[np.ndarray, "draws rows cols"]
     slide_mm: Float32[np.ndarray, "slides rows cols 3"]
     point_mm: VectorMap
     position_weight: ScalarMap
@@ -101,6 +96,7 @@ def fuse_on_rays(
     remeasure: Remeasure | None = None,
     noise: NoiseAt | None = None,
     rounds: int = ROUNDS,
+    threads: int = 1,
 ) -> FusedSurface:
     """Find the surface that best explains triangulated distances and normals at once.
 
@@ -122,6 +118,8 @@ def fuse_on_rays(
         they are independent, the two tilts of a normal alike, and the paths known.
     rounds
         How often the equations are weighted anew (iteratively reweighted least squares).
+    threads
+        How many sets of draws of the noise are solved at a time; the result is the same.
 
     Returns
     -------
@@ -149,13 +147,20 @@ def fuse_on_rays(
         chords = chords_of(rays, graph, distance)
         pairs = _cut(_reweighted(chords.residual(graph, distance) / np.sqrt(chords.variance)), sheets)
         positions = _position_weights(rays, distance)
-    errors = np.full((DRAWS, *used.shape), np.nan)
+    errors = np.full((DRAWS, *used.shape), np.nan, np.float32)
     slides = np.zeros((SLIDE_DRAWS, *used.shape, 3), np.float32)
     if graph.pixels:
         last = _system(graph, rays, chords, pairs, positions)
-        scales = (positions.scale, pairs.scale)
-        draw = _independent(rays, graph) if noise is None else noise(graph.on_grid(distance))
-        errors[:, used], slides[:, used] = _errors(graph, rays, chords, last, draw, scales, solver)
+        errors[:, used], slides[:, used] = drawn_errors(
+            graph,
+            rays,
+            chords,
+            solver.block_solver(last.matrix, relative_tolerance=DRAW_TOLERANCE),
+            independent_noise(rays) if noise is None else noise(graph.on_grid(distance), used),
+            weights=(last.chord_weight, last.own_weight),
+            scales=(positions.scale, pairs.scale),
+            threads=threads,
+        )
     outlier = np.zeros(used.shape, dtype=bool)
     outlier[used] = sheets.outlier
     point = np.full(origin_mm.shape, np.nan)
@@ -238,68 +243,6 @@ def _solve(
     right = _gather(graph, chords, chord_pull, system.own_weight * (rays.measured_mm - guess))
     solve = solver.solver(system.matrix, relative_tolerance=CORRECTION_TOLERANCE)
     return guess + solve(right, np.zeros_like(guess))
-
-
-def _errors(
-    graph: Neighbours,
-    rays: Rays,
-    chords: Chords,
-    system: _System,
-    noise: NoiseDraw,
-    scales: tuple[float, float],
-    solver: SparseSolver,
-) -> tuple[Float64[np.ndarray, "draws pixels"], Float32[np.ndarray, "slides pixels 3"]]:
-    """Return what draws of the measurements' noise do to the distances, through the very equations that were solved.
-
-    Beside that, how far the paths slide in the first of these draws.
-
-    The equations need not be weighted by the true covariance of their noise for this to be the true spread of their answer: a
-    normal serves two pairs on its line, and the distance comes from the same correspondences as the normal.
-    """
-    rng = np.random.default_rng(DRAW_SEED)
-    solve = solver.solver(system.matrix, relative_tolerance=DRAW_TOLERANCE)
-    errors = np.empty((DRAWS, graph.pixels))
-    slides = np.empty((SLIDE_DRAWS, graph.pixels, 3), np.float32)
-    for number, draw in enumerate(errors):
-        distance_error, normal_error, slide = noise(rng)
-        if number < SLIDE_DRAWS:
-            slides[number] = slide[graph.mask]
-        tilt = scales[1] * normal_error[graph.mask]
-        at_first = np.einsum("pi,pi->p", tilt[graph.first], chords.chord_mm)
-        at_second = np.einsum("pi,pi->p", tilt[graph.second], chords.chord_mm)
-        per_chord = 0.5 * (at_first + at_second) - chords.bend.height_mm(at_second - at_first)
-        shift = np.where(rays.precision > 0, scales[0] * distance_error[graph.mask], 0.0)
-        right = _gather(graph, chords, -system.chord_weight * per_chord, system.own_weight * shift)
-        draw[:] = solve(right, np.zeros(graph.pixels))
-    return errors, slides
-
-
-def _independent(rays: Rays, graph: Neighbours) -> NoiseDraw:
-    """Return draws of distances and normals that know nothing of each other, from the standard deviations alone."""
-
-    def draw(rng: np.random.Generator) -> tuple[ScalarMap, VectorMap, VectorMap]:
-        tilt = np.sqrt(rays.tilt_variance)[:, None] * rng.standard_normal(rays.normal.shape)
-        normal_error = np.zeros((*graph.mask.shape, 3))
-        normal_error[graph.mask] = tilt - (tilt * rays.normal).sum(axis=1, keepdims=True) * rays.normal
-        sd = np.sqrt(np.divide(1.0, rays.precision, out=np.zeros(graph.pixels), where=rays.precision > 0))
-        return graph.on_grid(sd * rng.standard_normal(graph.pixels)), normal_error, np.zeros_like(normal_error)
-
-    return draw
-
-
-def standard_deviation(
-    errors: Float64[np.ndarray, "draws rows cols"], mask: Mask, *, window_px: int = DRAW_WINDOW_PX
-) -> ScalarMap:
-    """Return the root mean square of the draws, averaged over a window, on which an uncertainty is smooth."""
-    total = _window_sum(np.where(mask, np.nan_to_num((errors**2).sum(axis=0)), 0.0), window_px)
-    count = _window_sum(mask.astype(np.float64), window_px)
-    return np.where(mask, np.sqrt(total / np.maximum(count, 1.0) / len(errors)), np.nan)
-
-
-def _window_sum(values: ScalarMap, window_px: int) -> ScalarMap:
-    """Sum over a window, term by term: a running sum would leave large values' rounding on small ones."""
-    box = np.ones(window_px)
-    return correlate1d(correlate1d(values, box, axis=0, mode="constant"), box, axis=1, mode="constant")
 
 
 def _cut(pairs: _Weights, sheets: Sheets) -> _Weights:

@@ -8,7 +8,7 @@ import numpy as np
 from jaxtyping import Float64
 from scipy.stats import chi2
 
-from recon.surface.fusion import standard_deviation
+from recon.surface.error_draws import standard_deviation
 from recon.surface.lateral_places import LateralPlaces
 from recon.surface.ray_chords import Mask, ScalarMap, VectorMap
 from recon.surface.window_bias import Slopes, without_bias

@@ -7,11 +7,11 @@ from jaxtyping import Bool, Float64, Int
 
 from recon.reconstruct import Crossing, Limits
 from recon.surface.curvature import curvature_of
-from recon.surface.fusion import NoiseDraw
+from recon.surface.error_draws import NoiseDraw, SomePixels, SomeVectors
 from recon.surface.lateral_places import along_surface
 from recon.surface.path_crossing import PathCrossing
 from recon.surface.path_noise import PathNoise
-from recon.surface.ray_chords import ScalarMap, VectorMap
+from recon.surface.ray_chords import Mask, ScalarMap, VectorMap
 
 PerPath = Float64[np.ndarray, " pixels"]
 
@@ -73,24 +73,25 @@ class PathMeasurement:
         below_mm = 0.5 * np.einsum("pij,pij->p", self._curvature(along), slide) / self.facing
         return self.on_grid(told_mm + below_mm, self.readable), self.on_grid(np.hypot(sd_mm, below_mm), self.readable)
 
-    def noise_at(self, distance_mm: ScalarMap) -> NoiseDraw:
-        """Return what draws the errors of distances and normals on a surface at ``distance_mm``.
+    def noise_at(self, distance_mm: ScalarMap, used: Mask) -> NoiseDraw:
+        """Return what draws the errors of distances and normals of the ``used`` pixels, on a surface at ``distance_mm``.
 
         The surface is sought where the shifted liquid path meets it, and its normal is another one there.
         """
-        along, direction = distance_mm.ravel()[self.pixels], self.paths.liquid.direction
+        along = distance_mm.ravel()[self.pixels]
+        rows = np.flatnonzero(used.ravel()[self.pixels])
         along_air, curvature = self.crossing.along_air(along), self._curvature(along)
 
-        def draw(rng: np.random.Generator) -> tuple[ScalarMap, VectorMap, VectorMap]:
-            liquid_mm, air_mm, normal_error = self.paths.draw(rng, along_liquid_mm=along, along_air_mm=along_air)
-            slide = liquid_mm + ((liquid_mm * self.paths.normal).sum(axis=1) / self.facing)[:, None] * direction
-            errors = (
-                self.crossing.by_shift(liquid_mm - air_mm),
-                normal_error - np.einsum("pij,pj->pi", curvature, slide),
-                slide,
+        def draw(rng: np.random.Generator) -> tuple[SomePixels, SomeVectors, SomeVectors]:
+            return self.paths.draw(
+                rng,
+                rows,
+                along_liquid_mm=along,
+                along_air_mm=along_air,
+                mean_cross=self.crossing.mean_cross,
+                facing=self.facing,
+                curvature=curvature,
             )
-            distance_error, tilt, along_surface_mm = (self.on_grid(each, self.surface_pixel) for each in errors)
-            return distance_error, tilt, along_surface_mm
 
         return draw
 

@@ -8,6 +8,7 @@ from scipy.sparse import csr_array
 from scipy.sparse.linalg import splu
 
 from recon.errors import ReconError
+from recon.surface.block_solver import Block, solved_block
 from recon.surface.multigrid import Multigrid
 
 RELATIVE_TOLERANCE = 1e-8
@@ -68,6 +69,36 @@ class SparseSolver:
                     "check the normals and their standard deviations, or use a tighter mask"
                 )
             return found
+
+        return solve
+
+    def block_solver(self, matrix: csr_array, *, relative_tolerance: float) -> Callable[[Block], Block]:
+        """Prepare to solve for several right sides at once, to no more than a thousandth; the function may run in threads.
+
+        Where single precision is not enough for that, they are solved one by one.
+        """
+        if matrix.shape[0] <= DIRECT_UNKNOWNS:
+            factorised = _direct(matrix)
+            return lambda right: factorised(right.astype(np.float64), right).astype(np.float32)
+        weight = 1 / matrix.diagonal()
+        inherited = self._multigrid
+
+        def solve(right: Block) -> Block:
+            for multigrid, steps in ((inherited, MOST_WITH_OTHER_WEIGHTS), (None, MOST_ITERATIONS)):
+                if multigrid is not None or steps == MOST_ITERATIONS:
+                    found, converged = solved_block(
+                        matrix,
+                        right,
+                        multigrid or Multigrid.of(matrix),
+                        weight,
+                        relative_tolerance=relative_tolerance,
+                        steps=steps,
+                    )
+                    if converged:
+                        return found
+            one_by_one = solver(matrix, relative_tolerance=relative_tolerance)
+            columns = [one_by_one(column, np.zeros_like(column)) for column in right.T.astype(np.float64)]
+            return np.stack(columns, axis=1).astype(np.float32)
 
         return solve
 

@@ -179,6 +179,7 @@ def _fused(crossing: Crossing, shape: tuple[int, int], *, n_liquid: float, n_air
         np.isfinite(normal).all(axis=2),
         remeasure=paths.remeasure,
         noise=paths.noise_at,
+        threads=threads,
     )
     distance = np.nan_to_num(fused.distance_mm.ravel()[crossing.pixels])
     refined = refine_surface(

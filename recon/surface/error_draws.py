@@ -1,0 +1,149 @@
+"""What draws of the measurements' noise do to a fused surface, from which its standard deviations come.
+
+The equations need not be weighted by the true covariance of their noise for this to be the true spread of their answer: a normal
+serves two pairs on its line, and the distance comes from the same correspondences as the normal.
+"""
+
+from collections.abc import Callable
+from concurrent.futures import ThreadPoolExecutor
+
+import cv2
+import numpy as np
+from jaxtyping import Float, Float32, Float64
+
+from recon.compiled import compiled
+from recon.surface.block_loops import COLUMNS
+from recon.surface.block_solver import Block
+from recon.surface.neighbours import Neighbours
+from recon.surface.ray_chords import Chords, Mask, PerPair, PerPixel, Rays, ScalarMap
+
+# Standard deviations are estimated from this many draws over this window: good to a tenth or better.
+DRAWS = 2 * COLUMNS
+DRAW_WINDOW_PX = 9
+DRAW_TOLERANCE = 1e-2  # of a draw, of which twelve tell an sd to a tenth
+DRAW_SEED = 20180601
+
+# So many of them also tell what the lateral places and the surface have in common.
+SLIDE_DRAWS = 4
+
+SomePixels = Float32[np.ndarray, " pixels"]
+SomeVectors = Float32[np.ndarray, "pixels 3"]
+# Draws one error of every used pixel's distance and of its normal from the noise of its measurement, and by how much its path
+# slides along the surface.
+NoiseDraw = Callable[[np.random.Generator], tuple[SomePixels, SomeVectors, SomeVectors]]
+# Prepares such draws for a surface at the distances given, and the used pixels.
+NoiseAt = Callable[[ScalarMap, Mask], NoiseDraw]
+
+
+def drawn_errors(
+    graph: Neighbours,
+    rays: Rays,
+    chords: Chords,
+    solve: Callable[[Block], Block],
+    noise: NoiseDraw,
+    *,
+    weights: tuple[PerPair, PerPixel],
+    scales: tuple[float, float],
+    threads: int,
+) -> tuple[Float32[np.ndarray, "draws pixels"], Float32[np.ndarray, "slides pixels 3"]]:
+    """Return what draws of noise do to the distances, through the very equations that were solved.
+
+    Beside that, how far the paths slide in the first of these draws.
+
+    Parameters
+    ----------
+    solve
+        Solves the equations, for some right sides at a time.
+    weights
+        Those of the chords and of the measured distances.
+    scales
+        By how much the noise of distances, and of normals, is larger than was said.
+    threads
+        How many sets of draws are solved at a time.
+    """
+    rng = np.random.default_rng(DRAW_SEED)
+    slides = np.empty((SLIDE_DRAWS, graph.pixels, 3), np.float32)
+    bend = chords.bend
+    solved = []
+    with ThreadPoolExecutor(threads) as pool:
+        for first in range(0, DRAWS, COLUMNS):
+            right = np.empty((graph.pixels, COLUMNS), np.float32)
+            for column in range(COLUMNS):
+                distance_error, normal_error, slide = noise(rng)
+                if first + column < SLIDE_DRAWS:
+                    slides[first + column] = slide
+                shift = np.where(rays.precision > 0, scales[0] * distance_error, 0.0)
+                turned = np.empty((2, len(graph.first)))
+                _write_right_side(
+                    *(graph.first, graph.second, bend.before, bend.after),
+                    *(chords.chord_mm, chords.at_first, chords.at_second, bend.per_squared, bend.factor),
+                    *(weights[0], normal_error, scales[1]),
+                    *(turned, weights[1] * shift, right[:, column]),
+                )
+            solved.append(pool.submit(solve, right))
+    return np.concatenate([job.result().T for job in solved]), slides
+
+
+@compiled
+def _write_right_side(
+    first: np.ndarray,
+    second: np.ndarray,
+    before: np.ndarray,
+    after: np.ndarray,
+    chord: np.ndarray,
+    at_first: np.ndarray,
+    at_second: np.ndarray,
+    per_squared: np.ndarray,
+    factor: np.ndarray,
+    weight: np.ndarray,
+    tilt: np.ndarray,
+    scale: float,
+    turned: np.ndarray,
+    own: np.ndarray,
+    right: np.ndarray,
+) -> None:
+    """Write the right side of errors of normals, with the pixels' ``own`` added; ``turned`` is room for two numbers a pair."""
+    for pair in range(len(first)):
+        one = other = 0.0
+        for k in range(3):
+            one += tilt[first[pair], k] * chord[pair, k]
+            other += tilt[second[pair], k] * chord[pair, k]
+        turned[0, pair] = 0.5 * scale * (one + other)
+        turned[1, pair] = scale * (other - one) * per_squared[pair]
+    for pair in range(len(first)):
+        height = factor[pair] * (turned[1, after[pair]] - turned[1, before[pair]]) if factor[pair] != 0 else 0.0
+        pull = weight[pair] * (turned[0, pair] - height)
+        own[first[pair]] -= at_first[pair] * pull
+        own[second[pair]] -= at_second[pair] * pull
+    for pixel in range(len(own)):
+        right[pixel] = own[pixel]
+
+
+def independent_noise(rays: Rays) -> NoiseDraw:
+    """Return draws of distances and normals that know nothing of each other, from the standard deviations alone."""
+    count = len(rays.precision)
+    sd = np.sqrt(np.divide(1.0, rays.precision, out=np.zeros(count), where=rays.precision > 0))
+
+    def draw(rng: np.random.Generator) -> tuple[SomePixels, SomeVectors, SomeVectors]:
+        tilt = np.sqrt(rays.tilt_variance)[:, None] * rng.standard_normal(rays.normal.shape)
+        tilt -= (tilt * rays.normal).sum(axis=1, keepdims=True) * rays.normal
+        distance_error = (sd * rng.standard_normal(count)).astype(np.float32)
+        return distance_error, tilt.astype(np.float32), np.zeros((count, 3), np.float32)
+
+    return draw
+
+
+def standard_deviation(
+    errors: Float[np.ndarray, "draws rows cols"], mask: Mask, *, window_px: int = DRAW_WINDOW_PX
+) -> Float64[np.ndarray, "rows cols"]:
+    """Return the root mean square of the draws, averaged over a window, on which an uncertainty is smooth."""
+    squares = np.einsum("drc,drc->rc", errors, errors, dtype=np.float64)
+    total = _window_sum(np.where(mask, np.nan_to_num(squares), 0.0), window_px)
+    count = _window_sum(mask.astype(np.float64), window_px)
+    return np.where(mask, np.sqrt(total / np.maximum(count, 1.0) / len(errors)), np.nan)
+
+
+def _window_sum(values: ScalarMap, window_px: int) -> ScalarMap:
+    """Sum over a window, term by term: a running sum would leave large values' rounding on small ones."""
+    box = np.ones(window_px)
+    return np.asarray(cv2.sepFilter2D(values, cv2.CV_64F, box, box, borderType=cv2.BORDER_CONSTANT), np.float64)
