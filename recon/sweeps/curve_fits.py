@@ -57,12 +57,12 @@ class CurveFits:
             getattr(fit, name)[two.rows] = getattr(two.first, name)
         return fit, prior, two
 
-    def drawn(self, pixels: Int[np.ndarray, " some"]) -> Float64[np.ndarray, "samples some"]:
-        """Return the fitted curves of some of the pixels at their own samples, in counts above black."""
+    def drawn(self, pixels: Int[np.ndarray, " some"]) -> Float64[np.ndarray, "some samples"]:
+        """Return the fitted curves [pixels, samples] of some of the pixels, in counts above black."""
         fit, prior, _ = self.fit(np.searchsorted(self.pixels, pixels))
         samples = self.curves.samples(pixels)
         curve, _, _ = looked_up(samples, fit.place_px, fit.log_width, shape=prior.shape, table=self.curves.table)
-        return fit.background + fit.amplitude * curve.astype(np.float64)
+        return fit.background[:, None] + fit.amplitude[:, None] * curve
 
 
 def good_fit(fit: StripeFit, pattern: StripePattern, *, noise: NoiseModel) -> Bool[np.ndarray, " pixels"]:

@@ -1,12 +1,13 @@
 """Each pixel's curve at its own samples, looked up in the table of all curves."""
 
 import numpy as np
-from jaxtyping import Float32, Float64, Int64
+from jaxtyping import Float64, Int64
 
 from recon.sweeps.curve_samples import CurveSamples
 from recon.sweeps.curve_table import NODE_SPACING, CurveTable
+from recon.sweeps.stripe_walk import TableArrays, look_up_pixels
 
-Looked = Float32[np.ndarray, "samples pixels"]
+Looked = Float64[np.ndarray, "pixels samples"]
 
 
 def looked_up(
@@ -21,23 +22,27 @@ def looked_up(
 
     Widths are interpolated between two nodes; places are Taylor-expanded from the nearest entry.
     """
-    _, nodes, kinds, entries = table.value.shape
-    node = np.clip(((log_width - table.log_width[0]) / NODE_SPACING).astype(np.int64), 0, nodes - 2)
-    table.fill_between(shape, node)
-    share = np.clip((log_width - table.log_width[node]) / NODE_SPACING, 0.0, 1.0).astype(np.float32)
-    distance = place - samples.peak_px
-    entry = table.entry(distance)
-    rest = distance + table.reach_px - (entry - table.pad * table.entries_a_step) * table.spacing_px
-    offset = np.arange(-samples.half_width, samples.half_width + 1)[:, None]
-    index = entry + (shape * nodes + node) * (kinds * entries) - table.entries_a_step * offset
-    if kinds > 1:
-        index += table.alignment_of[samples.peak + offset + table.pad] * entries
-    curve, slope, by_width, part = (
-        one.ravel().take(index) for one in (table.value, table.slope, table.wider, table.wider_slope)
+    arrays = table_arrays(table)
+    found = np.empty((len(place), 3, samples.height.shape[1]))
+    distance, log_width = place - samples.peak_px, np.ascontiguousarray(log_width)
+    while not look_up_pixels(samples.peak, distance, shape, log_width, arrays, found):
+        table.fill(arrays.wanted)
+    return found[:, 0], found[:, 1], found[:, 2]
+
+
+def table_arrays(table: CurveTable) -> TableArrays:
+    """Return the table for compiled loops, with nothing wanted of it."""
+    return TableArrays(
+        value=table.value,
+        slope=table.slope,
+        filled=table.filled,
+        wanted=np.zeros_like(table.filled),
+        alignment_of=table.alignment_of,
+        pad=table.pad,
+        entries_a_step=table.entries_a_step,
+        spacing_px=table.spacing_px,
+        reach_px=float(table.reach_px),
+        step_px=float(table.pattern.step_px),
+        thinnest=float(table.log_width[0]),
+        node_spacing=NODE_SPACING,
     )
-    part *= share
-    slope += part
-    curve += np.multiply(share, by_width, out=part)
-    curve += np.multiply(rest.astype(np.float32), slope, out=part)
-    by_width *= np.float32(1 / NODE_SPACING)
-    return curve, slope, by_width

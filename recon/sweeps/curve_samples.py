@@ -14,28 +14,13 @@ class CurveSamples:
     """Samples about the peak of each pixel.
 
     ``height`` is counts above black, ``usable`` tells which samples may be used (inside the sweep, not clipped), ``peak``
-    is the number of the stripe in the middle of the window and ``peak_px`` its place in device pixels. A sample is a row, so
-    that a sum over the samples adds whole rows of pixels.
+    is the number of the stripe in the middle of the window and ``peak_px`` its place in device pixels.
     """
 
-    height: Float32[np.ndarray, "samples pixels"]
-    usable: Bool[np.ndarray, "samples pixels"]
+    height: Float32[np.ndarray, "pixels samples"]
+    usable: Bool[np.ndarray, "pixels samples"]
     peak: Int64[np.ndarray, " pixels"]
     peak_px: Float64[np.ndarray, " pixels"]
-
-    @property
-    def half_width(self) -> int:
-        """Return how many samples lie on each side of the peak."""
-        return len(self.height) // 2
-
-    def some(self, pixels: np.ndarray) -> "CurveSamples":
-        """Return the samples of some of the pixels."""
-        return CurveSamples(
-            self.height.take(pixels, axis=1),
-            self.usable.take(pixels, axis=1),
-            self.peak[pixels],
-            self.peak_px[pixels],
-        )
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -54,13 +39,13 @@ class SweepCurves:
     def samples(self, pixels: Int[np.ndarray, " pixels"]) -> CurveSamples:
         """Make the samples of these pixels ready to fit."""
         windows, pattern = self.windows, self.table.pattern
-        counts = windows.samples[pixels].T.astype(np.float32, order="C")
+        counts = windows.samples[pixels]
         peak = windows.peak_index[pixels].astype(np.int64)
-        usable = counts < np.float32(self.clipped)
-        for row, offset in enumerate(range(-windows.half_width, windows.half_width + 1)):
-            usable[row] &= (peak >= -offset) & (peak < windows.photo_count - offset)
+        usable = counts < self.clipped
+        for sample, offset in enumerate(range(-windows.half_width, windows.half_width + 1)):
+            usable[:, sample] &= (peak >= -offset) & (peak < windows.photo_count - offset)
         return CurveSamples(
-            height=counts - self.black[pixels].astype(np.float32),
+            height=counts.astype(np.float32) - self.black[pixels].astype(np.float32)[:, None],
             usable=usable,
             peak=peak,
             peak_px=pattern.first_px + pattern.step_px * peak.astype(np.float64),

@@ -46,11 +46,10 @@ Curves = Float32[np.ndarray, "shapes nodes alignments entries"]
 class CurveTable:
     """The curves of one pattern: brightness 0 to 1 (``value``) and its derivative by the distance (``slope``).
 
-    ``wider`` and ``wider_slope`` are by how much both differ at the next width. ``log_width`` are the width nodes, ``spacing_px``
-    and ``reach_px`` the spacing and range of the distances (from the stripe's centre to the footprint's), ``alignments_px`` the
-    different places of a stripe's centre on its device pixel, and ``alignment_of`` tells for stripe numbers from ``-pad`` on
-    which of them each has. On each side the entries go on for ``pad`` stripes, as dark as at the end of the range. A curve is
-    computed when it is first ``fill``-ed in.
+    ``log_width`` are the width nodes, ``spacing_px`` and ``reach_px`` the spacing and range of the distances (from the stripe's
+    centre to the footprint's), ``alignments_px`` the different places of a stripe's centre on its device pixel, and
+    ``alignment_of`` tells for stripe numbers from ``-pad`` on which of them each has. On each side the entries go on for ``pad``
+    stripes, as dark as at the end of the range. A curve is computed when it is first ``fill``-ed in.
     """
 
     pattern: StripePattern
@@ -63,25 +62,12 @@ class CurveTable:
     pad: int
     value: Curves
     slope: Curves
-    wider: Curves
-    wider_slope: Curves
     filled: Bool[np.ndarray, "shapes nodes"]
-    compared: Bool[np.ndarray, "shapes nodes"]
 
-    def fill(self, shape: Int64[np.ndarray, " pixels"], node: Int64[np.ndarray, " pixels"]) -> None:
-        """Compute the curves of these shapes and widths, where that has not been done."""
-        for one, at in _missing(self.filled, shape, node):
-            self._fill_one(one, at)
-
-    def fill_between(self, shape: Int64[np.ndarray, " pixels"], node: Int64[np.ndarray, " pixels"]) -> None:
-        """Compute the curves of these shapes, for widths between these nodes and the next."""
-        for one, at in _missing(self.compared, shape, node):
-            for number in (at, at + 1):
-                if not self.filled[one, number]:
-                    self._fill_one(one, number)
-            np.subtract(self.value[one, at + 1], self.value[one, at], out=self.wider[one, at])
-            np.subtract(self.slope[one, at + 1], self.slope[one, at], out=self.wider_slope[one, at])
-            self.compared[one, at] = True
+    def fill(self, wanted: Bool[np.ndarray, "shapes nodes"]) -> None:
+        """Compute the curves that are wanted, where that has not been done."""
+        for shape, node in np.argwhere(wanted & ~self.filled):
+            self._fill_one(int(shape), int(node))
 
     def _fill_one(self, shape: int, node: int) -> None:
         dark = self.pad * self.entries_a_step
@@ -99,18 +85,15 @@ class CurveTable:
         """Return how many entries lie between two stripes."""
         return round(self.pattern.step_px / self.spacing_px)
 
+    @property
+    def middle_entry(self) -> int:
+        """Return the entry of a distance of zero."""
+        return round(self.reach_px / self.spacing_px) + self.pad * self.entries_a_step
+
     def nearest_node(self, log_width: Float64[np.ndarray, " pixels"]) -> Int64[np.ndarray, " pixels"]:
         """Return the number of the width node nearest to each width."""
         number = np.rint((log_width - self.log_width[0]) / NODE_SPACING)
         return np.clip(number, 0, len(self.log_width) - 1).astype(np.int64)
-
-    def entry(self, distance_px: np.ndarray) -> np.ndarray:
-        """Return the number of the entry nearest to each distance; far distances lie where every curve is dark.
-
-        ``pad`` steps of the sweep beyond it, to either side, there are entries as well.
-        """
-        number = np.rint((distance_px + self.reach_px) / self.spacing_px).astype(np.int64)
-        return np.clip(number, 0, round(2 * self.reach_px / self.spacing_px)) + self.pad * self.entries_a_step
 
 
 @lru_cache(maxsize=4)
@@ -131,10 +114,7 @@ def curve_table(pattern: StripePattern, *, half_width: int, continuous: bool) ->
     alignments, alignment_of = _alignments(pattern, pad=pad, continuous=continuous)
     entries = round(2 * reach / spacing) + 1 + 2 * pad * round(step / spacing)
     # Pages of memory that no shape fills are never taken.
-    value, slope, wider, wider_slope = (
-        np.zeros((len(SHAPES), nodes, len(alignments), entries), dtype=np.float32) for _ in range(4)
-    )
-    filled, compared = np.zeros((2, len(SHAPES), nodes), dtype=bool)
+    value, slope = (np.zeros((len(SHAPES), nodes, len(alignments), entries), dtype=np.float32) for _ in range(2))
     return CurveTable(
         pattern=pattern,
         continuous=continuous,
@@ -146,18 +126,8 @@ def curve_table(pattern: StripePattern, *, half_width: int, continuous: bool) ->
         pad=pad,
         value=value,
         slope=slope,
-        wider=wider,
-        wider_slope=wider_slope,
-        filled=filled,
-        compared=compared,
+        filled=np.zeros((len(SHAPES), nodes), dtype=bool),
     )
-
-
-def _missing(known: np.ndarray, shape: np.ndarray, node: np.ndarray) -> list[tuple[int, int]]:
-    """Return the pairs of shape and node among those of the pixels that are not ``known``."""
-    wanted = np.zeros_like(known)
-    wanted[shape, node] = True
-    return [(int(one), int(at)) for one, at in np.argwhere(wanted & ~known)]
 
 
 def _alignments(pattern: StripePattern, *, pad: int, continuous: bool) -> tuple[np.ndarray, np.ndarray]:

@@ -27,7 +27,7 @@ def sample_curves(
     pixels = (lattice_rows[:, None] * cols + lattice_cols).ravel()
     place = place.ravel()
     pixels = np.unique(pixels[np.isfinite(place[pixels])])
-    models = [None] * len(pixels) if fit is None or not len(pixels) else fit.fits.drawn(pixels).T
+    models = [None] * len(pixels) if fit is None or not len(pixels) else fit.fits.drawn(pixels)
     return tuple(
         _curve(int(pixel), windows, cols, photos, black=black, pattern=pattern, place=place, model=model, fit=fit)
         for pixel, model in zip(pixels, models, strict=True)

@@ -1,229 +1,238 @@
-"""Try many places at once: chi-square of every pixel's curve over a grid of places, by matrix products.
+"""Try many places at once: chi-square of every pixel's curve over a grid of places.
 
 A fit that walks downhill may stop at the wrong device pixel of a stepped curve, and where the curve fixes the place only
 to an interval (a stripe seen in one photo alone, a footprint inside one device pixel) the curvature at the best place
 means nothing. The grid sees both: its best place is where the walk starts, and the spread of the likelihood over it is the
 standard deviation of such a place.
+
+Pixels are gone through one by one, compiled; the machine code that is kept is told stale by this file alone, so what is compiled
+here uses nothing of others.
 """
 
-from dataclasses import dataclass
+from typing import NamedTuple
 
 import numpy as np
-from jaxtyping import Float32, Float64, Int64
 
-from recon.sweeps.curve_samples import CurveSamples
-from recon.sweeps.curve_table import SHAPES, CurveTable
+from recon.compiled import compiled
 
 # The stripe that looks brightest is rarely farther than this from the place, in steps.
 SCAN_STEPS = 2
 COARSE_PLACES_A_STEP = 8
-SCAN_SHAPE = SHAPES.index((0.5, 0.5))
-# An interval is scanned this finely, and this far to both sides of its best place, in device pixels or steps (the smaller).
+# An interval is scanned at least this finely, and this far to both sides of its best place, in device pixels or steps (the
+# smaller).
 FINE_PLACES_A_PX = 32
 FINE_REACH_PX = 1.25
-# Nodes and weights for the mean over a standard normal variable.
-HERMITE = ((-np.sqrt(3.0), 1 / 6), (0.0, 2 / 3), (np.sqrt(3.0), 1 / 6))
+# Nodes and weights for the mean over a standard normal variable, by Gauss and Hermite's rule of three points.
+HERMITE_NODES = (-np.sqrt(3.0), 0.0, np.sqrt(3.0))
+HERMITE_WEIGHTS = (1 / 6, 2 / 3, 1 / 6)
 MIDDLE = 1
-# Fewer pixels than this with the same templates are not worth a matrix product of their own.
-FEWEST_ALIKE = 48
-MIXED_AT_ONCE = 512
-# OpenBLAS wakes its threads for a matrix product of more multiplications than this. They wait for each other, spinning, while
-# the cores are busy with other sweeps.
-ALONE_PRODUCTS = 1 << 18
+ONE, ZERO, HALF = np.float32(1), np.float32(0), np.float32(0.5)
+LEAST_SQUARE, LEAST_SHARE = np.float32(1e-12), np.float32(1e-6)
+# The exponential of less than this is nothing beside one.
+LOWEST, PART = np.float32(-32), np.float32(1 / 64)
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class PlaceSpread:
-    """Mean and standard deviation of the place under its likelihood, and the likeliest place, in device pixels."""
+class Templates(NamedTuple):
+    """Rows of a table of curves with the entries of a scan's places alone, so that these lie side by side.
 
-    mean_px: Float64[np.ndarray, " pixels"]
-    sd_px: Float64[np.ndarray, " pixels"]
-    best_px: Float64[np.ndarray, " pixels"]
+    ``middle`` is the entry of a place on the stripe's centre, ``spacing_px`` the distance of two places; ``alignment_of`` tells
+    for stripe numbers from ``-pad`` on which of the alignments each has.
+    """
+
+    rows: np.ndarray  # [rows, alignments, entries] float32
+    middle: int
+    places_a_step: int
+    spacing_px: float
+    step_px: float
+    alignment_of: np.ndarray  # [stripes] int64
+    pad: int
 
 
+@compiled
 def best_places(
-    samples: CurveSamples,
-    weight: Float32[np.ndarray, "samples pixels"],
-    *,
-    black_weight: float,
-    log_width: Float64[np.ndarray, " pixels"],
-    table: CurveTable,
-) -> Float64[np.ndarray, " pixels"]:
-    """Return the place of least chi-square within two steps of the brightest sample, refined by a parabola.
-
-    One shape of footprint does for all: the walk that starts there knows each pixel's own.
-    """
-    step = table.pattern.step_px
-    reach = SCAN_STEPS * COARSE_PLACES_A_STEP
-    grid = step * np.arange(-reach, reach + 1) / COARSE_PLACES_A_STEP
-    node, shape = table.nearest_node(log_width), np.full(len(log_width), SCAN_SHAPE)
-    table.fill(shape, node)
-    place = np.empty(len(samples.peak))
-    middle = np.zeros(len(node))
-    for rows in _alike(samples, node, table):
-        explained = _explained(samples, weight, rows, grid, middle, node, shape, table, black_weight)
-        best = np.clip(_highest(explained), 1, len(grid) - 2)
-        line = np.arange(len(rows))
-        before, most, after = (explained[best + k, line].astype(np.float64) for k in (-1, 0, 1))
-        curvature = 2 * most - before - after
-        shift = np.where(curvature > 0, 0.5 * (after - before) / np.maximum(curvature, 1e-12), 0.0)
-        place[rows] = grid[best] + np.clip(shift, -1, 1) * (grid[1] - grid[0])
-    return samples.peak_px + place
-
-
-def place_spread(
-    samples: CurveSamples,
-    weight: Float32[np.ndarray, "samples pixels"],
-    *,
-    black_weight: float,
-    log_width: Float64[np.ndarray, " pixels"],
-    width_sd: Float64[np.ndarray, " pixels"],
-    shape: Int64[np.ndarray, " pixels"],
-    table: CurveTable,
-    about_px: Float64[np.ndarray, " pixels"],
-) -> PlaceSpread:
-    """Return mean and spread of the likelihood over a fine grid about a place.
-
-    Amplitude and background are at their best; the width is averaged over what is known of it (``log_width`` ± ``width_sd``),
-    by Gauss and Hermite's rule of three points.
-    """
-    unit = min(table.pattern.step_px, 1.0)
-    count = round(FINE_REACH_PX * FINE_PLACES_A_PX)
-    fine = unit * np.arange(-count, count + 1) / FINE_PLACES_A_PX
-    # Pixels whose best places are alike share one grid.
-    middle = unit * np.rint((about_px - samples.peak_px) / unit)
-    cell = np.rint(middle / unit).astype(np.int64)
-    powers = np.stack([np.ones_like(fine), fine, fine**2]).astype(np.float32)
-    likeliest = np.empty(len(middle))
-    top = np.empty((len(HERMITE), len(middle)), dtype=np.float32)
-    moments = np.empty((len(HERMITE), len(powers), len(middle)), dtype=np.float32)
-    nodes = [table.nearest_node(log_width + shift * width_sd) for shift, _ in HERMITE]
-    for number in (MIDDLE, *(other for other in range(len(HERMITE)) if other != MIDDLE)):
-        node = nodes[number]
-        table.fill(shape, node)
-        # A width that is known well has one node, and one scan.
-        same = (node == nodes[MIDDLE]) & (number != MIDDLE)
-        top[number, same], moments[number][:, same] = top[MIDDLE, same], moments[MIDDLE][:, same]
-        for rows in _alike(samples, node * len(SHAPES) + shape, table, also=cell, among=np.flatnonzero(~same)):
-            explained = _explained(samples, weight, rows, fine, middle, node, shape, table, black_weight)
-            if number == MIDDLE:
-                likeliest[rows] = fine[_highest(explained)]
-            highest = np.maximum.reduce(explained, axis=0)
-            explained -= highest
-            explained *= np.float32(0.5)
-            moments[number][:, rows] = _summed(np.exp(explained, out=explained), powers)
-            top[number, rows] = highest
-    share = np.array([share for _, share in HERMITE], dtype=np.float32)[:, None] * np.exp(0.5 * (top - top.max(axis=0)))
-    mass, first, second = np.einsum("wp,wmp->mp", share, moments).astype(np.float64)
-    first /= mass
-    sd_px = np.sqrt(np.maximum(second / mass - first**2, 0.0))
-    return PlaceSpread(samples.peak_px + middle + first, sd_px, samples.peak_px + middle + likeliest)
-
-
-def _alike(
-    samples: CurveSamples,
-    node: np.ndarray,
-    table: CurveTable,
-    *,
-    also: np.ndarray | None = None,
-    among: np.ndarray | None = None,
-) -> list[Int64[np.ndarray, " rows"]]:
-    """Return the rows of each large group of pixels that one set of templates serves, then all others, some at a time."""
-    kinds = int(table.alignment_of.max()) + 1
-    key = node * kinds + table.alignment_of[samples.peak + table.pad]
-    if also is not None:
-        key = key * (also.max() - also.min() + 1) + also - also.min()
-    rows = np.arange(len(key)) if among is None else among
-    order = rows[np.argsort(key[rows], kind="stable")]
-    if not len(order):
-        return []
-    groups = np.split(order, np.flatnonzero(np.diff(key[order])) + 1)
-    few = [group for group in groups if len(group) < FEWEST_ALIKE]
-    mixed = np.concatenate(few) if few else order[:0]
-    blocks = [mixed[low : low + MIXED_AT_ONCE] for low in range(0, len(mixed), MIXED_AT_ONCE)]
-    return [*(group for group in groups if len(group) >= FEWEST_ALIKE), *blocks]
-
-
-def _explained(
-    samples: CurveSamples,
+    height: np.ndarray,
     weight: np.ndarray,
-    rows: np.ndarray,
-    places_px: np.ndarray,
-    middle_px: np.ndarray,
-    node: np.ndarray,
-    shape: np.ndarray,
-    table: CurveTable,
     black_weight: float,
-) -> Float32[np.ndarray, "places rows"]:
-    """Return how much of chi-square each place explains, with the best amplitude and background for it.
+    peak: np.ndarray,
+    number: np.ndarray,
+    templates: Templates,
+    place_px: np.ndarray,
+) -> None:
+    """Write the place of least chi-square within two steps of the brightest sample, refined by a parabola.
 
-    The places are ``middle_px`` of each pixel plus ``places_px``, from the pixel's brightest stripe on.
+    ``height`` and ``weight`` [pixels, samples] float32 are those of the samples, ``peak`` [pixels] the stripe of the middle one,
+    ``number`` the row of each pixel among the templates; ``place_px`` [pixels] is counted from the peak's place. One shape of
+    footprint does for all: the walk that starts there knows each pixel's own.
     """
-    offset = np.arange(-samples.half_width, samples.half_width + 1)
-    first = rows[0]
-    if len(rows) >= FEWEST_ALIKE and _one_template(rows, samples, middle_px, node, shape, table):
-        kind = table.alignment_of[samples.peak[first] + offset + table.pad]
-        entry = table.entry(middle_px[first] + places_px)[:, None] - table.entries_a_step * offset
-        curve = table.value[shape[first], node[first]][kind, entry]
-    else:
-        _, nodes, kinds, entries = table.value.shape
-        kind = table.alignment_of[samples.peak[rows] + offset[:, None] + table.pad]
-        base = ((shape[rows] * nodes + node[rows]) * kinds + kind) * entries
-        entry = table.entry(middle_px[rows] + places_px[:, None])[:, None] - table.entries_a_step * offset[:, None]
-        curve = table.value.ravel().take(entry + base)
-    weight_of = weight.take(rows, axis=1)
-    weighted = weight_of * samples.height.take(rows, axis=1)
-    s_mm = _summed(weight_of, curve**2)
-    s_mm += np.float32(1e-12)
-    s_m = _summed(weight_of, curve)
-    toward = _summed(weighted, curve)
-    s_1 = weight_of.sum(axis=0) + np.float32(black_weight)
+    pixels, count = height.shape
+    reach = SCAN_STEPS * COARSE_PLACES_A_STEP
+    sums = np.empty((3, 2 * reach + 1), dtype=np.float32)
+    for pixel in range(pixels):
+        _explain(
+            height[pixel],
+            weight[pixel],
+            black_weight,
+            peak[pixel],
+            templates,
+            number[pixel],
+            templates.middle - reach,
+            sums,
+        )
+        place_px[pixel] = (_vertex(sums[2]) - reach) * templates.spacing_px
+        half = count // 2
+        top, middle = 0, 0
+        for s in range(count):
+            if height[pixel, s] > HALF * height[pixel, half]:
+                top += 1
+                middle += s - half
+        if top > 2 * SCAN_STEPS:
+            # The brightest sample of a top that is wider than the scan may be anywhere on it.
+            place_px[pixel] = templates.step_px * middle / top
+
+
+@compiled
+def place_spreads(
+    height: np.ndarray,
+    weight: np.ndarray,
+    black_weight: float,
+    peak: np.ndarray,
+    numbers: np.ndarray,
+    templates: Templates,
+    about_px: np.ndarray,
+    spread: np.ndarray,
+) -> None:
+    """Write mean and sd of the place under its likelihood over a fine grid about a place, and the likeliest place.
+
+    As for ``best_places``, but ``numbers`` [pixels, 3] are the rows of the widths of Hermite's rule: amplitude and background are
+    at their best, the width is averaged over what is known of it. ``spread`` [3, pixels] float64.
+    """
+    unit = min(templates.step_px, 1.0)
+    reach = int(np.ceil(FINE_REACH_PX * unit / templates.spacing_px - 1e-9))
+    sums = np.empty((3, 2 * reach + 1), dtype=np.float32)
+    moments = np.empty((3, 4))
+    for pixel in range(len(peak)):
+        # The grid's middle is that of the nearest device pixel.
+        middle = round(np.rint(about_px[pixel] / unit) * unit / templates.spacing_px)
+        likeliest = 0
+        for node in (MIDDLE, 0, 2):
+            if node != MIDDLE and numbers[pixel, node] == numbers[pixel, MIDDLE]:
+                # A width that is known well has one node, and one scan.
+                moments[node] = moments[MIDDLE]
+                continue
+            _explain(
+                height[pixel],
+                weight[pixel],
+                black_weight,
+                peak[pixel],
+                templates,
+                numbers[pixel, node],
+                templates.middle + middle - reach,
+                sums,
+            )
+            best = _highest(sums[2])
+            if node == MIDDLE:
+                likeliest = best
+            _integrate(sums[2], sums[2, best], moments[node])
+        mean, sd = _combined(moments)
+        spread[0, pixel] = (middle + mean) * templates.spacing_px
+        spread[1, pixel] = sd * templates.spacing_px
+        spread[2, pixel] = (middle + likeliest - reach) * templates.spacing_px
+
+
+@compiled
+def _explain(
+    height: np.ndarray,
+    weight: np.ndarray,
+    black_weight: float,
+    peak: int,
+    templates: Templates,
+    number: int,
+    first: int,
+    sums: np.ndarray,
+) -> None:
+    """Write into the last row of ``sums`` how much of chi-square each place explains, with its best amplitude and background."""
+    count, places = len(height), sums.shape[1]
+    square, light, toward = sums[0], sums[1], sums[2]
+    sums[:] = ZERO
+    total, pull = black_weight, 0.0
+    for s in range(count):
+        if weight[s] == ZERO:
+            continue
+        weighted = weight[s] * height[s]
+        total += weight[s]
+        pull += weighted
+        offset = s - count // 2
+        begin = first - templates.places_a_step * offset
+        curve = templates.rows[number, templates.alignment_of[peak + offset + templates.pad], begin : begin + places]
+        for k in range(places):
+            one = weight[s] * curve[k]
+            square[k] += one * curve[k]
+            light[k] += one
+            toward[k] += weighted * curve[k]
     # Background removed first: what the curve then explains is the drop of chi-square.
-    toward -= s_m * (weighted.sum(axis=0) / s_1)
-    s_m *= s_m
-    s_m /= s_1
-    inner = np.subtract(s_mm, s_m, out=s_m)
-    s_mm *= np.float32(1e-6)
-    np.maximum(inner, s_mm, out=inner)
-    # A stripe takes no light away.
-    np.maximum(toward, 0.0, out=toward)
-    toward *= toward
-    toward /= inner
-    return toward
+    background, share = np.float32(pull / total), np.float32(1.0 / total)
+    for k in range(places):
+        # A stripe takes no light away.
+        part = max(toward[k] - light[k] * background, ZERO)
+        whole = square[k] + LEAST_SQUARE
+        toward[k] = part * part / max(whole - light[k] * light[k] * share, LEAST_SHARE * whole)
 
 
-def _one_template(
-    rows: np.ndarray,
-    samples: CurveSamples,
-    middle_px: np.ndarray,
-    node: np.ndarray,
-    shape: np.ndarray,
-    table: CurveTable,
-) -> bool:
-    """Tell whether all rows have footprint, alignment and middle of the first."""
-    kind = table.alignment_of[samples.peak[rows] + table.pad]
-    return all((values == values[0]).all() for values in (kind, middle_px[rows], node[rows], shape[rows]))
-
-
-def _summed(weight: np.ndarray, curve: np.ndarray) -> np.ndarray:
-    """Return the weighted sums over the samples [places, pixels] of one template for all, or of one for each pixel."""
-    if curve.ndim > 2:
-        return np.einsum("sp,lsp->lp", weight, curve)
-    total = np.empty((len(curve), weight.shape[1]), dtype=np.float32)
-    columns = max(ALONE_PRODUCTS // curve.size, 1)
-    for low in range(0, weight.shape[1], columns):
-        part = slice(low, low + columns)
-        np.matmul(curve, weight[:, part], out=total[:, part])
-    return total
-
-
-def _highest(values: Float32[np.ndarray, "places pixels"]) -> Int64[np.ndarray, " pixels"]:
-    """Return the first of the places with the highest value: an ``argmax`` over the first axis that keeps to the rows."""
-    highest = values[0].copy()
-    best = np.zeros(len(highest), dtype=np.int64)
-    higher = np.empty(len(highest), dtype=bool)
-    for number, row in enumerate(values):
-        np.greater(row, highest, out=higher)
-        np.copyto(best, number, where=higher)
-        np.maximum(highest, row, out=highest)
+@compiled
+def _highest(values: np.ndarray) -> int:
+    best = 0
+    for k in range(len(values)):
+        if values[k] > values[best]:
+            best = k
     return best
+
+
+@compiled
+def _vertex(values: np.ndarray) -> float:
+    """Return where the highest of the values would be, by a parabola."""
+    best = min(max(_highest(values), 1), len(values) - 2)
+    before, most, after = float(values[best - 1]), float(values[best]), float(values[best + 1])
+    curvature = 2.0 * most - before - after
+    if curvature <= 0.0:
+        return float(best)
+    return best + min(max(0.5 * (after - before) / max(curvature, 1e-12), -1.0), 1.0)
+
+
+@compiled
+def _exponential(x: float) -> float:
+    """Return exp(x) in single precision for x ≤ 0, by operations that run on all lanes: Taylor's series of a 64th of it."""
+    y = max(x, LOWEST) * PART
+    series = ONE
+    for n in (7, 6, 5, 4, 3, 2, 1):
+        series = ONE + series * y * np.float32(1 / n)
+    for _ in range(6):
+        series *= series
+    return series
+
+
+@compiled
+def _integrate(explained: np.ndarray, highest: float, moments: np.ndarray) -> None:
+    """Write the highest of the values, and mass and moments of the likelihood over the grid, about its middle, in places."""
+    reach = len(explained) // 2
+    mass = first = second = ZERO
+    for k in range(len(explained)):
+        likelihood = _exponential(HALF * (explained[k] - highest))
+        at = np.float32(k - reach)
+        mass += likelihood
+        first += likelihood * at
+        second += likelihood * at * at
+    moments[0], moments[1], moments[2], moments[3] = highest, mass, first, second
+
+
+@compiled
+def _combined(moments: np.ndarray) -> tuple[float, float]:
+    """Return mean and sd over all widths, each with its share."""
+    top = max(moments[0, 0], moments[1, 0], moments[2, 0])
+    mass, first, second = 0.0, 0.0, 0.0
+    for node in range(3):
+        share = HERMITE_WEIGHTS[node] * np.exp(0.5 * (moments[node, 0] - top))
+        mass += share * moments[node, 1]
+        first += share * moments[node, 2]
+        second += share * moments[node, 3]
+    mean = first / mass
+    return mean, np.sqrt(max(second / mass - mean * mean, 0.0))

@@ -183,7 +183,7 @@ def _light(peak: _Peak, fit: StripeFit, shape: np.ndarray, *, table: CurveTable)
     """Return the counts that one path alone gives at its own samples."""
     samples = _curves(peak, table=table, photo_count=LEFT_OUT).samples(np.arange(len(peak.number)))
     curve, _, _ = looked_up(samples, fit.place_px, fit.log_width, shape=shape, table=table)
-    return (fit.amplitude.astype(np.float32) * curve).T
+    return (fit.amplitude[:, None] * curve).astype(np.float32)
 
 
 def _without(peak: _Peak, other: _Peak, light: np.ndarray) -> _Peak:

@@ -259,9 +259,9 @@ def looked_up_curve(
     """Return value and slope of the stepped curve about stripe 30."""
     table = curve_table(pattern, half_width=6, continuous=False)
     prior = known_prior(Footprints(np.array([widths]), 0.0), sd=0.1)
-    samples = CurveSamples(np.zeros((13, 1), np.float32), np.ones((13, 1), bool), np.array([30]), np.array([30.0]))
+    samples = CurveSamples(np.zeros((1, 13), np.float32), np.ones((1, 13), bool), np.array([30]), np.array([30.0]))
     value, slope, _ = looked_up(samples, np.array([centre]), prior.log_width, shape=prior.shape, table=table)
-    return value[:, 0], slope[:, 0]
+    return value[0], slope[0]
 
 
 def test_a_place_inside_one_device_pixel_is_known_to_that_pixel_and_no_better() -> None:
