@@ -12,7 +12,6 @@ from recon.study.stripe_bound import SampleNoise, blurred_profile, place_bound_p
 from recon.study.study_result import Cell, Curve, StudyFigure, StudyTable
 from recon.sweeps.correspondence import window_half_width
 from recon.sweeps.curve_reach import curve_half_width
-from recon.sweeps.likelihood import places_by_likelihood
 from recon.sweeps.noise import dark_variance
 from recon.sweeps.stripe_peak import PeakTracker
 
@@ -67,6 +66,9 @@ def decoded(
     pattern: StripePattern, footprint_sd_px: float, noise: SampleNoise, *, columns: int, rng: np.random.Generator
 ) -> Seen:
     """Photograph a sweep through a Gaussian footprint and decode it: noise, footprint and reach are the decoder's to find."""
+    # Loads the compiler, which would slow every other command.
+    from recon.sweeps.likelihood import places_by_likelihood
+
     row, col = np.mgrid[:columns, :columns]
     centre = pattern.count / 2 + ADVANCE_PX[0] * (col - columns / 2) + ADVANCE_PX[1] * (row - columns / 2)
     grid = np.linspace(-pattern.count, pattern.count, 20_001)

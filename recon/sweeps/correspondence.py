@@ -15,7 +15,6 @@ from recon.sessions.session import Session
 from recon.status import PixelStatus
 from recon.sweeps.curve_reach import curve_half_width
 from recon.sweeps.half_seen import less_than_half_seen
-from recon.sweeps.likelihood import places_by_likelihood
 from recon.sweeps.noise import NoiseModel, dark_variance
 from recon.sweeps.sample_curves import sample_curves
 from recon.sweeps.stripe_peak import NO_PEAK, PeakTracker, PeakWindows, parabola_offset
@@ -224,6 +223,9 @@ def place_by_likelihood(
     continuous: bool,
 ) -> SweepResult:
     """Return the most likely place of the stripe in each pixel's window, with its standard deviation."""
+    # Loads the compiler, which the paper's method never needs.
+    from recon.sweeps.likelihood import places_by_likelihood
+
     status = _status(windows, black.shape)
     places = places_by_likelihood(
         windows,
@@ -250,7 +252,15 @@ def place_by_likelihood(
         noise=places.fits.noise,
         misfit=places.misfit,
         photos=photos,
-        curves=sample_curves(windows, black, photos, pattern=pattern, place=places.place_px, fit=places),
+        curves=sample_curves(
+            windows,
+            black,
+            photos,
+            pattern=pattern,
+            place=places.place_px,
+            sd_px=places.sd_px,
+            drawn=places.fits.drawn,
+        ),
         second_px=second_px,
         second_sd_px=second_sd_px,
     )

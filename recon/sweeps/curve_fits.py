@@ -12,6 +12,7 @@ from recon.sweeps.footprint import coordinate_gradient
 from recon.sweeps.leverage import leverage_of
 from recon.sweeps.noise import NoiseModel, beside_peak_variance, lone_peak_variance, noise_from_residuals
 from recon.sweeps.stripe_fit import PIXELS_A_BLOCK, StripeFit, WidthPrior, fit_stripe
+from recon.sweeps.stripe_model import LARGEST_MISFIT
 from recon.sweeps.two_paths import TwoPaths, two_paths
 from recon.sweeps.width_prior import GRADIENT_SD, Footprints, NeighbourWidths, known_prior, neighbour_widths
 
@@ -22,8 +23,6 @@ FEW_PIXELS = 20_000
 NOISE_PIXELS = 100_000
 # The variance of a sample that the fit bends itself to cannot be read from its residual.
 LARGEST_LEVERAGE = 0.8
-# A curve whose misfit is a quarter of its height is not that of one stripe.
-LARGEST_MISFIT = 0.25
 # The part of a curve above this share of its peak tells its centre.
 CENTRE_LEVEL = 0.1
 BLUR_PIXELS = 2000

@@ -22,21 +22,22 @@ def looked_up(
 
     Widths are interpolated between two nodes; places are Taylor-expanded from the nearest entry.
     """
-    arrays = table_arrays(table)
-    found = np.empty((len(place), 3, samples.height.shape[1]))
-    distance, log_width = place - samples.peak_px, np.ascontiguousarray(log_width)
-    while not look_up_pixels(samples.peak, distance, shape, log_width, arrays, found):
-        table.fill(arrays.wanted)
-    return found[:, 0], found[:, 1], found[:, 2]
+    table.fill_about(shape, log_width)
+    found = np.empty((3, len(place), samples.height.shape[1]))
+    log_width = np.ascontiguousarray(log_width)
+    look_up_pixels(samples.peak, place - samples.peak_px, shape, log_width, table_arrays(table), found)
+    return found[0], found[1], found[2]
 
 
 def table_arrays(table: CurveTable) -> TableArrays:
-    """Return the table for compiled loops, with nothing wanted of it."""
+    """Return the table for compiled loops."""
+    _, nodes, alignments, entries = table.value.shape
     return TableArrays(
-        value=table.value,
-        slope=table.slope,
-        filled=table.filled,
-        wanted=np.zeros_like(table.filled),
+        value=table.value.ravel(),
+        slope=table.slope.ravel(),
+        nodes=nodes,
+        alignments=alignments,
+        entries=entries,
         alignment_of=table.alignment_of,
         pad=table.pad,
         entries_a_step=table.entries_a_step,

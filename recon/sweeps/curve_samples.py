@@ -42,10 +42,11 @@ class SweepCurves:
         counts = windows.samples[pixels]
         peak = windows.peak_index[pixels].astype(np.int64)
         usable = counts < self.clipped
-        for sample, offset in enumerate(range(-windows.half_width, windows.half_width + 1)):
-            usable[:, sample] &= (peak >= -offset) & (peak < windows.photo_count - offset)
+        at_end = np.flatnonzero((peak < windows.half_width) | (peak >= windows.photo_count - windows.half_width))
+        stripe = peak[at_end, None] + np.arange(-windows.half_width, windows.half_width + 1)
+        usable[at_end] &= (stripe >= 0) & (stripe < windows.photo_count)
         return CurveSamples(
-            height=counts.astype(np.float32) - self.black[pixels].astype(np.float32)[:, None],
+            height=np.subtract(counts, self.black[pixels, None], dtype=np.float32),
             usable=usable,
             peak=peak,
             peak_px=pattern.first_px + pattern.step_px * peak.astype(np.float64),

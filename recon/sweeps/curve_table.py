@@ -64,10 +64,21 @@ class CurveTable:
     slope: Curves
     filled: Bool[np.ndarray, "shapes nodes"]
 
+    def fill_about(self, shape: Int64[np.ndarray, " pixels"], log_width: Float64[np.ndarray, " pixels"]) -> None:
+        """Compute the curves of these shapes whose widths are next to these, to either side."""
+        below = ((log_width - self.log_width[0]) / NODE_SPACING).astype(np.int64)
+        node = np.clip(below, 0, len(self.log_width) - 2)
+        wanted = np.zeros_like(self.filled)
+        wanted[shape, node] = True
+        wanted[:, 1:] |= wanted[:, :-1]
+        self.fill(wanted)
+
     def fill(self, wanted: Bool[np.ndarray, "shapes nodes"]) -> None:
         """Compute the curves that are wanted, where that has not been done."""
-        for shape, node in np.argwhere(wanted & ~self.filled):
-            self._fill_one(int(shape), int(node))
+        missing = wanted & ~self.filled
+        if missing.any():
+            for shape, node in np.argwhere(missing):
+                self._fill_one(int(shape), int(node))
 
     def _fill_one(self, shape: int, node: int) -> None:
         dark = self.pad * self.entries_a_step

@@ -18,11 +18,11 @@ from recon.sessions.photos import saturation_count
 from recon.sessions.session import Session
 from recon.status import PixelStatus
 from recon.sweeps.correspondence import LEAST_PEAK_COUNTS, PEAK_SIGMA, SweepResult
-from recon.sweeps.curve_fits import LARGEST_MISFIT
 from recon.sweeps.display_response import response_of, response_undone
 from recon.sweeps.map_scatter import scatter_beyond
 from recon.sweeps.noise import ROUNDING_VARIANCE, NoiseModel, noise_from_residuals
 from recon.sweeps.photo_stream import black_photo, has_black, photo_stream
+from recon.sweeps.stripe_model import LARGEST_MISFIT
 
 NOISE_SAMPLE_PIXELS = 8000
 # A finer period must be where the coarser one says, to this share of it; half of it would be the next one.

@@ -1,10 +1,11 @@
 """A few pixels' own intensity curves for the report: the samples about the peak and what was made of them."""
 
+from collections.abc import Callable
+
 import numpy as np
 
 from recon.metrics import PhotoQuality, SampleCurve
 from recon.sessions.manifest import StripePattern
-from recon.sweeps.likelihood import LikelihoodPlaces
 from recon.sweeps.stripe_peak import PeakWindows
 
 # An even lattice of candidates; the report draws some of those that became points.
@@ -18,18 +19,23 @@ def sample_curves(
     *,
     pattern: StripePattern,
     place: np.ndarray,
-    fit: LikelihoodPlaces | None = None,
+    sd_px: np.ndarray | None = None,
+    drawn: Callable[[np.ndarray], np.ndarray] | None = None,
 ) -> tuple[SampleCurve, ...]:
-    """Return the curves of a lattice of pixels that have a place; ``fit`` for the method that fits a curve."""
+    """Return the curves of a lattice of pixels that have a place.
+
+    The method that fits a curve gives the sd of the places [rows, cols] and says how the curves of some pixels are ``drawn``
+    [pixels, samples], in counts above black.
+    """
     rows, cols = black.shape
     lattice_rows = np.linspace(0, rows - 1, LATTICE + 2).astype(int)[1:-1]
     lattice_cols = np.linspace(0, cols - 1, LATTICE + 2).astype(int)[1:-1]
     pixels = (lattice_rows[:, None] * cols + lattice_cols).ravel()
     place = place.ravel()
     pixels = np.unique(pixels[np.isfinite(place[pixels])])
-    models = [None] * len(pixels) if fit is None or not len(pixels) else fit.fits.drawn(pixels)
+    models = [None] * len(pixels) if drawn is None or not len(pixels) else drawn(pixels)
     return tuple(
-        _curve(int(pixel), windows, cols, photos, black=black, pattern=pattern, place=place, model=model, fit=fit)
+        _curve(int(pixel), windows, cols, photos, black=black, pattern=pattern, place=place, model=model, sd_px=sd_px)
         for pixel, model in zip(pixels, models, strict=True)
     )
 
@@ -44,7 +50,7 @@ def _curve(
     pattern: StripePattern,
     place: np.ndarray,
     model: np.ndarray | None,
-    fit: LikelihoodPlaces | None,
+    sd_px: np.ndarray | None,
 ) -> SampleCurve:
     number = windows.peak_index[pixel] + np.arange(-windows.half_width, windows.half_width + 1)
     inside = (number >= 0) & (number < windows.photo_count)
@@ -58,5 +64,5 @@ def _curve(
         intensity=tuple(windows.samples[pixel][inside].astype(float).tolist()),
         model=() if model is None else tuple((black.ravel()[pixel] + model[inside]).tolist()),
         peak_px=float(place[pixel]),
-        sd_px=None if fit is None else float(fit.sd_px.ravel()[pixel]),
+        sd_px=None if sd_px is None else float(sd_px.ravel()[pixel]),
     )

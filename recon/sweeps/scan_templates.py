@@ -25,15 +25,16 @@ def fine_templates(
     shape: Int64[np.ndarray, " pixels"],
     log_width: Float64[np.ndarray, " pixels"],
     sd: Float64[np.ndarray, " pixels"],
-) -> tuple[Templates, Int64[np.ndarray, "pixels 3"]]:
-    """Return the templates of each pixel's own shape and of the three widths of Hermite's rule, and its rows among them."""
-    node = np.stack([table.nearest_node(log_width + shift * sd) for shift in HERMITE_NODES], axis=1)
-    return _templates(table, np.broadcast_to(shape[:, None], node.shape), node, spacing=fine_spacing(table))
+) -> tuple[Templates, Int64[np.ndarray, "3 pixels"]]:
+    """Return the templates of each pixel's own shape and of the widths of Hermite's rule, and its rows among them.
 
-
-def fine_spacing(table: CurveTable) -> int:
-    """Return how many entries lie between two places of the fine scan."""
-    return int(min(table.pattern.step_px, 1.0) / FINE_PLACES_A_PX / table.spacing_px + 1e-6)
+    A width that is known well has one node, and one row: the others are -1.
+    """
+    node = np.stack([table.nearest_node(log_width + shift * sd) for shift in HERMITE_NODES])
+    spacing = int(min(table.pattern.step_px, 1.0) / FINE_PLACES_A_PX / table.spacing_px + 1e-6)
+    templates, row = _templates(table, np.broadcast_to(shape, node.shape), node, spacing=spacing)
+    row[1:][node[1:] == node[0]] = -1
+    return templates, row
 
 
 def _templates(
@@ -44,8 +45,11 @@ def _templates(
     table.fill(wanted)
     number = np.cumsum(wanted).reshape(wanted.shape) - 1
     first = table.middle_entry % spacing
+    rows = table.value[..., first::spacing][wanted]
     templates = Templates(
-        rows=np.ascontiguousarray(table.value[..., first::spacing][wanted]),
+        rows=rows.ravel(),
+        alignments=rows.shape[1],
+        entries=rows.shape[2],
         middle=table.middle_entry // spacing,
         places_a_step=table.entries_a_step // spacing,
         spacing_px=spacing * table.spacing_px,

@@ -18,8 +18,9 @@ from recon.sweeps.curve_table import CurveTable
 from recon.sweeps.noise import NoiseModel
 from recon.sweeps.scan_templates import coarse_templates, fine_templates
 from recon.sweeps.stripe_scan import best_places, place_spreads
-from recon.sweeps.stripe_walk import light_of_pixels, walk_pixels
+from recon.sweeps.stripe_walk import Pixels, step_pixels, weigh_pixels
 
+GAUSS_NEWTON_STEPS = 6
 # Curves of narrower footprints have flat tops and sharp corners, on which curvature says nothing (device pixels).
 ANGULAR_HARD_PX = 0.3
 ANGULAR_STEPPED_PX = 0.6
@@ -80,47 +81,77 @@ def _fit_block(
     samples: CurveSamples, prior: WidthPrior, *, table: CurveTable, noise: NoiseModel
 ) -> Float64[np.ndarray, "pixels 8"]:
     """Scan, walk, and where the curve is angular take the likelihood's own mean and spread."""
-    black_weight = 1 / noise.read_variance
-    height, peak = samples.height, samples.peak
-    weight = weights_of(height, samples, noise)
-    start_px = np.empty(len(peak))
-    templates, row = coarse_templates(table, prior.log_width)
-    best_places(height, weight, black_weight, peak, row, templates, start_px)
-    # The samples' own counts gave the first weights; the curve's heights, free of their noise, give the last.
-    arrays, light = table_arrays(table), np.empty_like(height)
     known = (prior.shape, prior.log_width, prior.sd)
-    while not light_of_pixels(height, weight, black_weight, peak, start_px, *known[:2], arrays, light):
-        table.fill(arrays.wanted)
-    weight = weights_of(light, samples, noise)
-    angular = np.flatnonzero(np.exp(prior.log_width) < angular_px(table))
+    weight, place_px = weights_of(samples.height, samples, noise), np.empty(len(samples.peak))
+    templates, row = coarse_templates(table, prior.log_width)
+    best_places(samples.height, weight, 1 / noise.read_variance, samples.peak, row, templates, place_px)
+    # The samples' own counts gave the first weights; the curve's heights, free of their noise, give the last.
+    pixels = Pixels(samples.height, weight, samples.peak, *known, noise.read_variance, noise.gain, noise.relative)
+    flat = np.exp(prior.log_width) < angular_px(table)
+    angular = np.flatnonzero(flat)
+    fit = np.empty((len(flat), len(StripeFit.__slots__)))
+    _walk(fit, np.flatnonzero(~flat), place_px, pixels, table=table, weigh=True)
     if len(angular):
-        fine, rows = fine_templates(table, *(one[angular] for one in known))
-        spread = np.empty((3, len(angular)))
-        place_spreads(
-            height[angular], weight[angular], black_weight, peak[angular], rows, fine, start_px[angular], spread
-        )
+        table.fill_about(prior.shape[angular], prior.log_width[angular])
+        weigh_pixels(angular, pixels, place_px, table_arrays(table))
+        spread, spacing_px = _spread(angular, place_px, pixels, table=table)
         # On a flat top the walk has nothing to go by: it begins where the finer grid is best.
-        start_px[angular] = spread[2]
-    fit, done = np.empty((len(peak), len(StripeFit.__slots__))), np.zeros(len(peak), dtype=bool)
-    while walk_pixels(height, weight, black_weight, peak, start_px, *known, arrays, fit, done):
-        table.fill(arrays.wanted)
-    if len(angular):
-        fit[angular, :2] = _settled(*fit[angular, :2].T, *spread[:2], fine.spacing_px)
+        place_px[angular] = spread[2]
+        _walk(fit, angular, place_px, pixels, table=table, weigh=False)
+        fit[angular, :2] = _settled(fit[angular, :2], spread, spacing_px=spacing_px)
     fit[:, 0] += samples.peak_px
     return fit
 
 
+def _walk(
+    fit: Float64[np.ndarray, "pixels 8"],
+    moving: Int64[np.ndarray, " moving"],
+    start_px: Float64[np.ndarray, " pixels"],
+    pixels: Pixels,
+    *,
+    table: CurveTable,
+    weigh: bool,
+) -> None:
+    """Let some of the pixels walk from their start until they have settled, and write their rows of ``fit``."""
+    moving, place_px, log_width = moving.copy(), start_px.copy(), pixels.log_width.copy()
+    objective = np.full(len(start_px), np.inf)
+    for step in range(GAUSS_NEWTON_STEPS):
+        if not len(moving):
+            break
+        table.fill_about(pixels.shape[moving], log_width[moving])
+        left = step_pixels(
+            moving, pixels, table_arrays(table), place_px, log_width, objective, fit, weigh and step == 0
+        )
+        moving = moving[:left]
+
+
+def _spread(
+    angular: Int64[np.ndarray, " angular"],
+    place_px: Float64[np.ndarray, " pixels"],
+    pixels: Pixels,
+    *,
+    table: CurveTable,
+) -> tuple[Float64[np.ndarray, "3 angular"], float]:
+    """Return mean, sd and likeliest place (from the peak's on) of some of the pixels, and the spacing of the grid."""
+    known = (one[angular] for one in (pixels.shape, pixels.log_width, pixels.width_sd))
+    samples = (pixels.height[angular], pixels.weight[angular], 1 / pixels.read, pixels.peak[angular])
+    templates, rows = fine_templates(table, *known)
+    spread = np.empty((3, len(angular)))
+    place_spreads(*samples, rows, templates, place_px[angular], spread)
+    return spread, templates.spacing_px
+
+
 def _settled(
-    place_px: np.ndarray, sd_px: np.ndarray, mean_px: np.ndarray, spread_px: np.ndarray, spacing_px: float
+    walked: Float64[np.ndarray, "pixels 2"], spread: Float64[np.ndarray, "3 pixels"], *, spacing_px: float
 ) -> Float64[np.ndarray, "pixels 2"]:
-    """Return place and sd of angular curves from those of the walk and of the likelihood over a grid."""
+    """Return place and sd of angular curves from those of the walk and those of the likelihood over a grid."""
+    place_px, sd_px = walked.T
+    mean_px, spread_px, _ = spread
     larger_px = np.maximum(sd_px, spread_px)
     # The grid is too coarse for the sharpest likelihoods, and the curvature right where it is that sharp.
     curved = larger_px < spacing_px
-    least_px = spacing_px / np.sqrt(12)
-    return np.stack(
-        [np.where(curved, place_px, mean_px), np.where(curved, larger_px, np.maximum(spread_px, least_px))], axis=1
-    )
+    least_px = np.maximum(spread_px, spacing_px / np.sqrt(12))
+    return np.stack([np.where(curved, place_px, mean_px), np.where(curved, larger_px, least_px)], axis=1)
 
 
 def weights_of(height: np.ndarray, samples: CurveSamples, noise: NoiseModel) -> np.ndarray:

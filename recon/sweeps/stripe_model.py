@@ -18,6 +18,8 @@ from recon.sessions.manifest import StripePattern
 
 # A footprint thinner than this (display pixels) is a point as far as any photo can tell.
 THINNEST_FOOTPRINT_PX = 1e-2
+# A curve whose misfit is a quarter of its height is not that of one stripe.
+LARGEST_MISFIT = 0.25
 
 UNIT_BOX = StripePattern(profile="hard", width_px=1.0, first_px=0.0, step_px=1.0, count=3)
 

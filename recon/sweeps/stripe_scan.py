@@ -23,10 +23,11 @@ COARSE_PLACES_A_STEP = 8
 FINE_PLACES_A_PX = 32
 FINE_REACH_PX = 1.25
 # Nodes and weights for the mean over a standard normal variable, by Gauss and Hermite's rule of three points.
-HERMITE_NODES = (-np.sqrt(3.0), 0.0, np.sqrt(3.0))
-HERMITE_WEIGHTS = (1 / 6, 2 / 3, 1 / 6)
-MIDDLE = 1
-ONE, ZERO, HALF = np.float32(1), np.float32(0), np.float32(0.5)
+HERMITE_NODES = (0.0, -np.sqrt(3.0), np.sqrt(3.0))
+HERMITE_WEIGHTS = (2 / 3, 1 / 6, 1 / 6)
+# Pixels worked on at a time: what is made of them stays in a core's nearest cache.
+LANES = 32
+ZERO, SIXTH, HALF, ONE, FOUR, FIVE = (np.float32(number) for number in (0, 1 / 6, 0.5, 1, 4, 5))
 LEAST_SQUARE, LEAST_SHARE = np.float32(1e-12), np.float32(1e-6)
 # The exponential of less than this is nothing beside one.
 LOWEST, PART = np.float32(-32), np.float32(1 / 64)
@@ -39,7 +40,9 @@ class Templates(NamedTuple):
     for stripe numbers from ``-pad`` on which of the alignments each has.
     """
 
-    rows: np.ndarray  # [rows, alignments, entries] float32
+    rows: np.ndarray  # [rows · alignments · entries] float32
+    alignments: int
+    entries: int
     middle: int
     places_a_step: int
     spacing_px: float
@@ -65,29 +68,23 @@ def best_places(
     footprint does for all: the walk that starts there knows each pixel's own.
     """
     pixels, count = height.shape
+    half = count // 2
     reach = SCAN_STEPS * COARSE_PLACES_A_STEP
-    sums = np.empty((3, 2 * reach + 1), dtype=np.float32)
-    for pixel in range(pixels):
-        _explain(
-            height[pixel],
-            weight[pixel],
-            black_weight,
-            peak[pixel],
-            templates,
-            number[pixel],
-            templates.middle - reach,
-            sums,
-        )
-        place_px[pixel] = (_vertex(sums[2]) - reach) * templates.spacing_px
-        half = count // 2
-        top, middle = 0, 0
-        for s in range(count):
-            if height[pixel, s] > HALF * height[pixel, half]:
-                top += 1
-                middle += s - half
-        if top > 2 * SCAN_STEPS:
-            # The brightest sample of a top that is wider than the scan may be anywhere on it.
-            place_px[pixel] = templates.step_px * middle / top
+    first = np.full(pixels, templates.middle - reach)
+    explained = np.empty((LANES, 2 * reach + 1), dtype=np.float32)
+    for low in range(0, pixels, LANES):
+        high = min(low + LANES, pixels)
+        _explain(low, high, height, weight, black_weight, peak, number, templates, first, explained)
+        for pixel in range(low, high):
+            place_px[pixel] = (_vertex(explained, pixel - low) - reach) * templates.spacing_px
+            top, middle = 0, 0
+            for s in range(count):
+                if height[pixel, s] > HALF * height[pixel, half]:
+                    top += 1
+                    middle += s - half
+            if top > 2 * SCAN_STEPS:
+                # The brightest sample of a top that is wider than the scan may be anywhere on it.
+                place_px[pixel] = templates.step_px * middle / top
 
 
 @compiled
@@ -103,95 +100,109 @@ def place_spreads(
 ) -> None:
     """Write mean and sd of the place under its likelihood over a fine grid about a place, and the likeliest place.
 
-    As for ``best_places``, but ``numbers`` [pixels, 3] are the rows of the widths of Hermite's rule: amplitude and background are
-    at their best, the width is averaged over what is known of it. ``spread`` [3, pixels] float64.
+    As for ``best_places``, but ``numbers`` [3, pixels] are the rows of the widths of Hermite's rule, the middle one first and -1
+    where it does for another: amplitude and background are at their best, the width is averaged over what is known of it.
+    ``spread`` [3, pixels] float64.
     """
     unit = min(templates.step_px, 1.0)
+    pixels = len(peak)
     reach = int(np.ceil(FINE_REACH_PX * unit / templates.spacing_px - 1e-9))
-    sums = np.empty((3, 2 * reach + 1), dtype=np.float32)
-    moments = np.empty((3, 4))
-    for pixel in range(len(peak)):
+    first = np.empty(pixels, dtype=np.int64)
+    for pixel in range(pixels):
         # The grid's middle is that of the nearest device pixel.
-        middle = round(np.rint(about_px[pixel] / unit) * unit / templates.spacing_px)
-        likeliest = 0
-        for node in (MIDDLE, 0, 2):
-            if node != MIDDLE and numbers[pixel, node] == numbers[pixel, MIDDLE]:
-                # A width that is known well has one node, and one scan.
-                moments[node] = moments[MIDDLE]
-                continue
-            _explain(
-                height[pixel],
-                weight[pixel],
-                black_weight,
-                peak[pixel],
-                templates,
-                numbers[pixel, node],
-                templates.middle + middle - reach,
-                sums,
-            )
-            best = _highest(sums[2])
-            if node == MIDDLE:
-                likeliest = best
-            _integrate(sums[2], sums[2, best], moments[node])
-        mean, sd = _combined(moments)
-        spread[0, pixel] = (middle + mean) * templates.spacing_px
-        spread[1, pixel] = sd * templates.spacing_px
-        spread[2, pixel] = (middle + likeliest - reach) * templates.spacing_px
+        middle = np.rint(np.rint(about_px[pixel] / unit) * unit / templates.spacing_px)
+        first[pixel] = templates.middle + int(middle) - reach
+    explained = np.empty((LANES, 2 * reach + 1), dtype=np.float32)
+    moments = np.empty((3, LANES, 4))
+    for low in range(0, pixels, LANES):
+        high = min(low + LANES, pixels)
+        for node in range(3):
+            _explain(low, high, height, weight, black_weight, peak, numbers[node], templates, first, explained)
+            for pixel in range(low, high):
+                if numbers[node, pixel] < 0:
+                    for m in range(4):
+                        moments[node, pixel - low, m] = moments[0, pixel - low, m]
+                    continue
+                best = _integrate(explained, pixel - low, moments, node)
+                if node == 0:
+                    spread[2, pixel] = (first[pixel] + best - templates.middle) * templates.spacing_px
+        for pixel in range(low, high):
+            mean, sd = _combined(moments, pixel - low)
+            spread[0, pixel] = (first[pixel] + reach - templates.middle + mean) * templates.spacing_px
+            spread[1, pixel] = sd * templates.spacing_px
 
 
 @compiled
 def _explain(
+    low: int,
+    high: int,
     height: np.ndarray,
     weight: np.ndarray,
     black_weight: float,
-    peak: int,
+    peak: np.ndarray,
+    number: np.ndarray,
     templates: Templates,
-    number: int,
-    first: int,
-    sums: np.ndarray,
+    first: np.ndarray,
+    explained: np.ndarray,
 ) -> None:
-    """Write into the last row of ``sums`` how much of chi-square each place explains, with its best amplitude and background."""
-    count, places = len(height), sums.shape[1]
-    square, light, toward = sums[0], sums[1], sums[2]
-    sums[:] = ZERO
-    total, pull = black_weight, 0.0
-    for s in range(count):
-        if weight[s] == ZERO:
+    """Write how much of chi-square each place explains, with its best amplitude and background, for some of the pixels.
+
+    The places begin at entry ``first`` [pixels] of the templates. Pixels without one (``number`` -1) are left out.
+    """
+    count, places = height.shape[1], explained.shape[1]
+    # Indices without a sign, so that they are not searched for negative ones.
+    along = range(np.uintp(places))
+    # A field of a tuple is taken out once, which the compiler does not do for a loop.
+    rows, alignment_of = templates.rows, templates.alignment_of
+    square, light = np.empty(places, dtype=np.float32), np.empty(places, dtype=np.float32)
+    for pixel in range(low, high):
+        if number[pixel] < 0:
             continue
-        weighted = weight[s] * height[s]
-        total += weight[s]
-        pull += weighted
-        offset = s - count // 2
-        begin = first - templates.places_a_step * offset
-        curve = templates.rows[number, templates.alignment_of[peak + offset + templates.pad], begin : begin + places]
-        for k in range(places):
-            one = weight[s] * curve[k]
-            square[k] += one * curve[k]
-            light[k] += one
-            toward[k] += weighted * curve[k]
-    # Background removed first: what the curve then explains is the drop of chi-square.
-    background, share = np.float32(pull / total), np.float32(1.0 / total)
-    for k in range(places):
-        # A stripe takes no light away.
-        part = max(toward[k] - light[k] * background, ZERO)
-        whole = square[k] + LEAST_SQUARE
-        toward[k] = part * part / max(whole - light[k] * light[k] * share, LEAST_SHARE * whole)
+        toward = np.uintp(pixel - low)
+        for k in along:
+            square[k] = light[k] = explained[toward, k] = ZERO
+        total, pull = black_weight, 0.0
+        for s in range(count):
+            one = weight[pixel, s]
+            if one == ZERO:
+                continue
+            weighted = one * height[pixel, s]
+            total += one
+            pull += weighted
+            offset = s - count // 2
+            row = number[pixel] * templates.alignments + alignment_of[peak[pixel] + offset + templates.pad]
+            begin = np.uintp(row * templates.entries + first[pixel] - templates.places_a_step * offset)
+            for k in along:
+                curve = rows[begin + k]
+                square[k] += one * curve * curve
+                light[k] += one * curve
+                explained[toward, k] += weighted * curve
+        # Background removed first: what the curve then explains is the drop of chi-square.
+        background, share = np.float32(pull / total), np.float32(1.0 / total)
+        for k in along:
+            # A stripe takes no light away.
+            part = max(explained[toward, k] - light[k] * background, ZERO)
+            whole = square[k] + LEAST_SQUARE
+            explained[toward, k] = part * part / max(whole - light[k] * light[k] * share, LEAST_SHARE * whole)
 
 
 @compiled
-def _highest(values: np.ndarray) -> int:
+def _highest(values: np.ndarray, row: int) -> int:
+    """Return the first of a row's highest values."""
+    highest = values[row, 0]
+    for k in range(values.shape[1]):
+        highest = max(highest, values[row, k])
     best = 0
-    for k in range(len(values)):
-        if values[k] > values[best]:
-            best = k
+    while values[row, best] < highest:
+        best += 1
     return best
 
 
 @compiled
-def _vertex(values: np.ndarray) -> float:
-    """Return where the highest of the values would be, by a parabola."""
-    best = min(max(_highest(values), 1), len(values) - 2)
-    before, most, after = float(values[best - 1]), float(values[best]), float(values[best + 1])
+def _vertex(values: np.ndarray, row: int) -> float:
+    """Return where the highest of a row's values would be, by a parabola."""
+    best = min(max(_highest(values, row), 1), values.shape[1] - 2)
+    before, most, after = float(values[row, best - 1]), float(values[row, best]), float(values[row, best + 1])
     curvature = 2.0 * most - before - after
     if curvature <= 0.0:
         return float(best)
@@ -199,40 +210,42 @@ def _vertex(values: np.ndarray) -> float:
 
 
 @compiled
-def _exponential(x: float) -> float:
+def _exponential(x: np.float32) -> np.float32:
     """Return exp(x) in single precision for x ≤ 0, by operations that run on all lanes: Taylor's series of a 64th of it."""
-    y = max(x, LOWEST) * PART
-    series = ONE
-    for n in (7, 6, 5, 4, 3, 2, 1):
-        series = ONE + series * y * np.float32(1 / n)
+    y = PART * x if x > LOWEST else PART * LOWEST
+    series = ONE + y * (ONE + y * (HALF + y * (SIXTH + y * (SIXTH / FOUR + y * (SIXTH / FOUR / FIVE)))))
     for _ in range(6):
         series *= series
     return series
 
 
 @compiled
-def _integrate(explained: np.ndarray, highest: float, moments: np.ndarray) -> None:
-    """Write the highest of the values, and mass and moments of the likelihood over the grid, about its middle, in places."""
-    reach = len(explained) // 2
+def _integrate(explained: np.ndarray, row: int, moments: np.ndarray, node: int) -> int:
+    """Write a row's highest value, and mass and moments of its likelihood about its middle, in places; return the likeliest."""
+    places = explained.shape[1]
+    best = _highest(explained, row)
+    highest = explained[row, best]
     mass = first = second = ZERO
-    for k in range(len(explained)):
-        likelihood = _exponential(HALF * (explained[k] - highest))
-        at = np.float32(k - reach)
+    for k in range(places):
+        likelihood = _exponential(HALF * (explained[row, k] - highest))
+        at = np.float32(k - places // 2)
         mass += likelihood
         first += likelihood * at
         second += likelihood * at * at
-    moments[0], moments[1], moments[2], moments[3] = highest, mass, first, second
+    moments[node, row, 0], moments[node, row, 1] = highest, mass
+    moments[node, row, 2], moments[node, row, 3] = first, second
+    return best
 
 
 @compiled
-def _combined(moments: np.ndarray) -> tuple[float, float]:
+def _combined(moments: np.ndarray, row: int) -> tuple[float, float]:
     """Return mean and sd over all widths, each with its share."""
-    top = max(moments[0, 0], moments[1, 0], moments[2, 0])
+    top = max(moments[0, row, 0], moments[1, row, 0], moments[2, row, 0])
     mass, first, second = 0.0, 0.0, 0.0
     for node in range(3):
-        share = HERMITE_WEIGHTS[node] * np.exp(0.5 * (moments[node, 0] - top))
-        mass += share * moments[node, 1]
-        first += share * moments[node, 2]
-        second += share * moments[node, 3]
+        share = HERMITE_WEIGHTS[node] * np.exp(0.5 * (moments[node, row, 0] - top))
+        mass += share * moments[node, row, 1]
+        first += share * moments[node, row, 2]
+        second += share * moments[node, row, 3]
     mean = first / mass
     return mean, np.sqrt(max(second / mass - mean * mean, 0.0))

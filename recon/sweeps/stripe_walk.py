@@ -1,7 +1,7 @@
 """Walk place and width of each pixel's curve to the least chi-square by Gauss–Newton, and look its curve up on the way.
 
-Pixels are gone through one by one, compiled; the machine code that is kept is told stale by this file alone, so what is compiled
-here uses nothing of others.
+Compiled loops over pixels, some of which lie side by side in the lanes of a core, sample after sample. The machine code that is
+kept is told stale by this file alone, so what is compiled here uses nothing of others.
 """
 
 from typing import NamedTuple
@@ -10,22 +10,25 @@ import numpy as np
 
 from recon.compiled import compiled
 
-GAUSS_NEWTON_STEPS = 6
+# Pixels worked on at a time: what is made of them stays in a core's nearest cache.
+LANES = 32
 LARGEST_STEP = 0.5  # of a step of the sweep, and of the logarithm of the width
 # The last step is taken and not looked at again: Gauss–Newton leaves a small part of it, and all of it is within the noise.
 SETTLED_SD = 0.3
 SETTLED_WIDTH_SD = 0.5
 # Where the curve is as flat as the background the two are not told apart.
 SINGULAR = 1e-7
+LEAST = 1e-12
 
 
 class TableArrays(NamedTuple):
-    """A table of curves (``curve_table.py``), as arrays and numbers; where it lacks one, that is marked as ``wanted``."""
+    """A table of curves (``curve_table.py``) for compiled loops: its arrays in one row each, and its numbers."""
 
-    value: np.ndarray  # [shapes, nodes, alignments, entries] float32
+    value: np.ndarray  # [shapes · nodes · alignments · entries] float32
     slope: np.ndarray
-    filled: np.ndarray  # [shapes, nodes] bool
-    wanted: np.ndarray
+    nodes: int
+    alignments: int
+    entries: int
     alignment_of: np.ndarray  # [stripes] int64, from −pad on
     pad: int
     entries_a_step: int
@@ -36,244 +39,269 @@ class TableArrays(NamedTuple):
     node_spacing: float
 
 
+class Pixels(NamedTuple):
+    """The samples of some pixels, their footprints, and the noise: height h has the variance read + gain·h + (relative·h)²."""
+
+    height: np.ndarray  # [pixels, samples] float32, counts above black
+    weight: np.ndarray  # one over the variance; zero for samples that may not be used
+    peak: np.ndarray  # [pixels] int64, stripe of the middle sample
+    shape: np.ndarray  # [pixels] int64
+    log_width: np.ndarray  # [pixels] float64, what is known of it
+    width_sd: np.ndarray
+    read: float
+    gain: float
+    relative: float
+
+
 @compiled
 def look_up_pixels(
     peak: np.ndarray,
     place_px: np.ndarray,
     shape: np.ndarray,
     log_width: np.ndarray,
-    curves: TableArrays,
+    table: TableArrays,
     found: np.ndarray,
-) -> bool:
+) -> None:
     """Write each pixel's curve at its samples, and its derivatives by place and by the width's logarithm.
 
-    ``place_px`` is counted from the place of the stripe ``peak``; ``found`` [pixels, 3, samples] float64. Return whether the
-    table had them all.
+    ``place_px`` is counted from the place of the stripe ``peak``; ``found`` [3, pixels, samples] float64.
     """
-    complete = True
-    for pixel in range(len(peak)):
-        complete &= _look_up(place_px[pixel], log_width[pixel], shape[pixel], peak[pixel], curves, found[pixel])
-    return complete
+    count = found.shape[2]
+    lanes, curve = np.empty(LANES, dtype=np.int64), np.empty((3, count, LANES))
+    for low in range(0, len(peak), LANES):
+        for k in range(LANES):
+            lanes[k] = min(low + k, len(peak) - 1)
+        _look_up(lanes, place_px, log_width, shape, peak, table, curve)
+        for k in range(min(LANES, len(peak) - low)):
+            for s in range(count):
+                for one in range(3):
+                    found[one, low + k, s] = curve[one, s, k]
 
 
 @compiled
-def light_of_pixels(
-    height: np.ndarray,
-    weight: np.ndarray,
-    black_weight: float,
-    peak: np.ndarray,
+def weigh_pixels(some: np.ndarray, pixels: Pixels, place_px: np.ndarray, table: TableArrays) -> None:
+    """Weigh the samples of ``some`` pixels anew, by the heights of curves of known widths at ``place_px``: without noise."""
+    number, count = len(some), pixels.height.shape[1]
+    lanes, curve, sample = np.empty(LANES, dtype=np.int64), np.empty((3, count, LANES)), np.empty((2, count, LANES))
+    for low in range(0, number, LANES):
+        for k in range(LANES):
+            lanes[k] = some[min(low + k, number - 1)]
+        _load(lanes, pixels, sample)
+        _look_up(lanes, place_px, pixels.log_width, pixels.shape, pixels.peak, table, curve)
+        _weigh(lanes, pixels, curve, sample)
+
+
+@compiled
+def step_pixels(
+    moving: np.ndarray,
+    pixels: Pixels,
+    table: TableArrays,
     place_px: np.ndarray,
-    shape: np.ndarray,
     log_width: np.ndarray,
-    curves: TableArrays,
-    light: np.ndarray,
-) -> bool:
-    """Write the counts above background [pixels, samples] of each pixel's curve, with the amplitude that its samples give it.
-
-    Arguments as for ``walk_pixels``. Return whether the table had all curves.
-    """
-    pixels, count = height.shape
-    curve = np.empty((3, count))
-    complete = True
-    for pixel in range(pixels):
-        complete &= _look_up(place_px[pixel], log_width[pixel], shape[pixel], peak[pixel], curves, curve)
-        s_1, s_y, s_m, s_mm, s_my = black_weight, 0.0, 0.0, 1e-12, 0.0
-        for s in range(count):
-            weighted, value = weight[pixel, s], curve[0, s]
-            s_1 += weighted
-            s_y += weighted * height[pixel, s]
-            s_m += weighted * value
-            s_mm += weighted * value * value
-            s_my += weighted * value * height[pixel, s]
-        amplitude = (s_1 * s_my - s_m * s_y) / max(s_mm * s_1 - s_m * s_m, SINGULAR * s_mm * s_1)
-        for s in range(count):
-            light[pixel, s] = amplitude * curve[0, s]
-    return complete
-
-
-@compiled
-def walk_pixels(
-    height: np.ndarray,
-    weight: np.ndarray,
-    black_weight: float,
-    peak: np.ndarray,
-    start_px: np.ndarray,
-    shape: np.ndarray,
-    known_width: np.ndarray,
-    known_sd: np.ndarray,
-    curves: TableArrays,
+    objective: np.ndarray,
     fit: np.ndarray,
-    done: np.ndarray,
+    weigh: bool,
 ) -> int:
-    """Walk all pixels that are not ``done``; return how many are left because the table lacks a curve on their way.
+    """Take one step of Gauss and Newton with the ``moving`` pixels; return how many, now first among them, must go on.
 
-    ``height`` and ``weight`` [pixels, samples] float32 are those of the samples, ``peak`` [pixels] the stripe of the middle one.
-    ``fit`` [pixels, 8] float64: place (from the peak's on, like ``start_px``) and its sd in device pixels, amplitude, background,
-    logarithm of the width, information on it, chi-square and degrees of freedom.
+    With ``weigh`` their samples are weighed anew before.
+
+    ``place_px`` (from the peak's on), ``log_width`` and ``objective`` [pixels] float64 are where each pixel is and the least
+    chi-square so far, with the prior's part; ``fit`` [pixels, 8] float64 the state there: place and its sd in device pixels,
+    amplitude, background, logarithm of the width, information on it, chi-square and degrees of freedom.
     """
-    pixels, count = height.shape
-    curve = np.empty((3, count))
-    sample = np.empty((2, count))
+    count, number = pixels.height.shape[1], len(moving)
+    lowest, highest = table.thinnest, table.thinnest + table.node_spacing * (table.nodes - 1)
+    limit_px = LARGEST_STEP * table.step_px
+    lanes, curve, sample = np.empty(LANES, dtype=np.int64), np.empty((3, count, LANES)), np.empty((2, count, LANES))
+    found = np.empty((9, LANES))
+    known_width, known_sd = pixels.log_width, pixels.width_sd
     left = 0
-    for pixel in range(pixels):
-        if done[pixel]:
-            continue
-        sample[0], sample[1] = height[pixel], weight[pixel]
-        done[pixel] = _walk(
-            start_px[pixel],
-            known_width[pixel],
-            known_sd[pixel],
-            shape[pixel],
-            peak[pixel],
-            black_weight,
-            curves,
-            sample,
-            curve,
-            fit[pixel],
-        )
-        left += not done[pixel]
+    for low in range(0, number, LANES):
+        for k in range(LANES):
+            lanes[k] = moving[min(low + k, number - 1)]
+        _load(lanes, pixels, sample)
+        _look_up(lanes, place_px, log_width, pixels.shape, pixels.peak, table, curve)
+        if weigh:
+            _weigh(lanes, pixels, curve, sample)
+        _linearise(lanes, pixels, log_width, sample, curve, limit_px, found)
+        for k in range(min(LANES, number - low)):
+            one = lanes[k]
+            place, width = place_px[one], log_width[one]
+            off = (width - known_width[one]) / known_sd[one]
+            reached = found[7, k] + off * off
+            if reached > objective[one]:
+                # A step that made things worse is tried again at a third of its length.
+                place_px[one] = fit[one, 0] + (place - fit[one, 0]) / 3.0
+                log_width[one] = min(max(fit[one, 4] + (width - fit[one, 4]) / 3.0, lowest), highest)
+                moving[left] = one
+                left += 1
+                continue
+            objective[one] = reached
+            fit[one, 0], fit[one, 4] = place, width
+            fit[one, 1], fit[one, 2], fit[one, 3] = found[2, k], found[4, k], found[5, k]
+            fit[one, 5], fit[one, 6], fit[one, 7] = found[6, k], found[7, k], found[8, k]
+            place += min(max(found[0, k], -limit_px), limit_px)
+            width = min(max(width + min(max(found[1, k], -LARGEST_STEP), LARGEST_STEP), lowest), highest)
+            if abs(found[0, k]) <= SETTLED_SD * found[2, k] and abs(found[1, k]) <= SETTLED_WIDTH_SD * found[3, k]:
+                fit[one, 0], fit[one, 4] = place, width
+            else:
+                place_px[one], log_width[one] = place, width
+                moving[left] = one
+                left += 1
     return left
 
 
 @compiled
-def _walk(
-    start_px: float,
-    known_width: float,
-    known_sd: float,
-    shape: int,
-    peak: int,
-    black_weight: float,
-    curves: TableArrays,
-    sample: np.ndarray,
-    curve: np.ndarray,
-    fit: np.ndarray,
-) -> bool:
-    """Walk one pixel; False where the table lacks a curve on the way."""
-    lowest = curves.thinnest
-    highest = lowest + curves.node_spacing * (curves.value.shape[1] - 1)
-    limit_px = LARGEST_STEP * curves.step_px
-    precision = 1.0 / (known_sd * known_sd)
-    place, log_width = start_px, known_width
-    best_objective = np.inf
-    for _ in range(GAUSS_NEWTON_STEPS):
-        if not _look_up(place, log_width, shape, peak, curves, curve):
-            return False
-        difference = log_width - known_width
-        (place_step, width_step, width_sd, sd, amplitude, background, information, chi_square, freedom) = _linearise(
-            sample, curve, black_weight, precision, difference, limit_px
-        )
-        objective = chi_square + precision * difference * difference
-        if objective > best_objective:
-            # A step that made things worse is tried again at a third of its length.
-            place = fit[0] + (place - fit[0]) / 3.0
-            log_width = min(max(fit[4] + (log_width - fit[4]) / 3.0, lowest), highest)
-            continue
-        best_objective = objective
-        fit[0], fit[1], fit[2], fit[3] = place, sd, amplitude, background
-        fit[4], fit[5], fit[6], fit[7] = log_width, information, chi_square, freedom
-        place += min(max(place_step, -limit_px), limit_px)
-        log_width = min(max(log_width + min(max(width_step, -LARGEST_STEP), LARGEST_STEP), lowest), highest)
-        if abs(place_step) <= SETTLED_SD * sd and abs(width_step) <= SETTLED_WIDTH_SD * width_sd:
-            fit[0], fit[4] = place, log_width
-            break
-    return True
+def _load(lanes: np.ndarray, pixels: Pixels, sample: np.ndarray) -> None:
+    """Lay height and weight of the samples of the lanes' pixels side by side."""
+    # A field of a tuple is taken out once, which the compiler does not do for a loop.
+    height, weight = pixels.height, pixels.weight
+    for k in range(LANES):
+        for s in range(sample.shape[1]):
+            sample[0, s, k] = height[lanes[k], s]
+            sample[1, s, k] = weight[lanes[k], s]
 
 
 @compiled
 def _look_up(
-    distance_px: float, log_width: float, shape: int, peak: int, curves: TableArrays, curve: np.ndarray
-) -> bool:
-    """Write a pixel's curve at its samples, and its derivatives by place and by the width's logarithm; False where none is there.
+    lanes: np.ndarray,
+    place_px: np.ndarray,
+    log_width: np.ndarray,
+    shape: np.ndarray,
+    peak: np.ndarray,
+    table: TableArrays,
+    curve: np.ndarray,
+) -> None:
+    """Write the curves of the lanes' pixels at their samples, and the derivatives by place and by the width's logarithm.
 
     Widths are interpolated between two nodes; places are Taylor-expanded from the nearest entry.
     """
-    nodes, entries = curves.value.shape[1], curves.value.shape[3]
-    position = min(max((log_width - curves.thinnest) / curves.node_spacing, 0.0), nodes - 1.0)
-    node = min(int(position), nodes - 2)
-    if not (curves.filled[shape, node] and curves.filled[shape, node + 1]):
-        curves.wanted[shape, node] = curves.wanted[shape, node + 1] = True
-        return False
-    share = position - node
-    dark = curves.pad * curves.entries_a_step
-    from_end = (distance_px + curves.reach_px) / curves.spacing_px
-    # Far places lie where every curve is dark.
-    nearest = np.rint(min(max(from_end, 0.0), entries - 1.0 - 2.0 * dark))
-    rest_px = (from_end - nearest) * curves.spacing_px
-    count = curve.shape[1]
-    for s in range(count):
-        offset = s - count // 2
-        kind = curves.alignment_of[peak + offset + curves.pad]
-        entry = int(nearest) + dark - curves.entries_a_step * offset
-        value, slope = curves.value[shape, node, kind, entry], curves.slope[shape, node, kind, entry]
-        wider = float(curves.value[shape, node + 1, kind, entry] - value)
-        by_place = slope + share * float(curves.slope[shape, node + 1, kind, entry] - slope)
-        curve[0, s] = value + share * wider + rest_px * by_place
-        curve[1, s] = by_place
-        curve[2, s] = wider / curves.node_spacing
-    return True
+    share, rest_px = np.empty(LANES), np.empty(LANES)
+    first, stripe = np.empty(LANES, dtype=np.int64), np.empty(LANES, dtype=np.int64)
+    values, slopes, alignment_of = table.value, table.slope, table.alignment_of
+    dark = table.pad * table.entries_a_step
+    last = table.entries - 1 - 2 * dark
+    for k in range(LANES):
+        one = lanes[k]
+        position = min(max((log_width[one] - table.thinnest) / table.node_spacing, 0.0), table.nodes - 1.0)
+        node = min(int(position), table.nodes - 2)
+        from_end = (place_px[one] + table.reach_px) / table.spacing_px
+        # Far places lie where every curve is dark.
+        nearest = np.rint(min(max(from_end, 0.0), float(last)))
+        share[k], rest_px[k] = position - node, (from_end - nearest) * table.spacing_px
+        first[k] = (shape[one] * table.nodes + node) * table.alignments * table.entries + int(nearest) + dark
+        stripe[k] = peak[one] + table.pad
+    to_next = np.uintp(table.alignments * table.entries)
+    for s in range(curve.shape[1]):
+        offset = s - curve.shape[1] // 2
+        for k in range(LANES):
+            kind = alignment_of[np.uintp(stripe[k] + offset)]
+            at = np.uintp(first[k] + kind * table.entries - table.entries_a_step * offset)
+            value, slope = float(values[at]), float(slopes[at])
+            wider = values[at + to_next] - value
+            by_place = slope + share[k] * (slopes[at + to_next] - slope)
+            curve[0, s, k] = value + share[k] * wider + rest_px[k] * by_place
+            curve[1, s, k] = by_place
+            curve[2, s, k] = wider / table.node_spacing
+
+
+@compiled
+def _weigh(lanes: np.ndarray, pixels: Pixels, curve: np.ndarray, sample: np.ndarray) -> None:
+    """Weigh samples by the heights of the curves, whose amplitudes follow from the samples by the two normal equations."""
+    sums = np.zeros((5, LANES))
+    for s in range(curve.shape[1]):
+        for k in range(LANES):
+            height, weight, value = sample[0, s, k], sample[1, s, k], curve[0, s, k]
+            sums[0, k] += weight
+            sums[1, k] += weight * height
+            sums[2, k] += weight * value
+            sums[3, k] += weight * value * value
+            sums[4, k] += weight * value * height
+    for k in range(LANES):
+        s_1, s_mm = sums[0, k] + 1.0 / pixels.read, sums[3, k] + LEAST
+        determinant = max(s_mm * s_1 - sums[2, k] * sums[2, k], SINGULAR * s_mm * s_1)
+        sums[0, k] = (s_1 * sums[4, k] - sums[2, k] * sums[1, k]) / determinant
+    for s in range(curve.shape[1]):
+        for k in range(LANES):
+            light = max(sums[0, k] * curve[0, s, k], 0.0)
+            variance = pixels.read + light * (pixels.gain + light * pixels.relative * pixels.relative)
+            sample[1, s, k] = 1.0 / variance if sample[1, s, k] > 0.0 else 0.0
+    weights = pixels.weight
+    for k in range(LANES):
+        for s in range(curve.shape[1]):
+            weights[lanes[k], s] = sample[1, s, k]
 
 
 @compiled
 def _linearise(
-    sample: np.ndarray, curve: np.ndarray, black_weight: float, precision: float, difference: float, limit_px: float
-) -> tuple[float, float, float, float, float, float, float, float, float]:
+    lanes: np.ndarray,
+    pixels: Pixels,
+    log_width: np.ndarray,
+    sample: np.ndarray,
+    curve: np.ndarray,
+    limit_px: float,
+    found: np.ndarray,
+) -> None:
     """Solve for amplitude and background, remove from both derivatives what these could do instead, and step.
 
-    ``difference`` is what the width's logarithm differs from the one that is known, to ``precision``. Return the steps of place
-    and width, the sd of width and of place, amplitude, background, information on the width, chi-square and degrees of freedom.
+    Write the steps of place and width, the sd of place and of width, amplitude, background, information on the width, chi-square
+    and degrees of freedom.
     """
-    count = sample.shape[1]
-    s_1, s_y, s_m, s_mm, s_my, usable = black_weight, 0.0, 0.0, 1e-12, 0.0, 0.0
-    p_m, p_1, p_p, w_m, w_1, w_w, p_w = 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0
-    for s in range(count):
-        height, weight = sample[0, s], sample[1, s]
-        value, by_place, by_width = curve[0, s], curve[1, s], curve[2, s]
-        usable += 1.0 if weight > 0.0 else 0.0
-        s_1 += weight
-        s_y += weight * height
-        lit = weight * value
-        s_m += lit
-        s_mm += lit * value
-        s_my += lit * height
-        place, width = weight * by_place, weight * by_width
-        p_1 += place
-        p_m += place * value
-        p_p += place * by_place
-        p_w += place * by_width
-        w_1 += width
-        w_m += width * value
-        w_w += width * by_width
-    determinant = max(s_mm * s_1 - s_m * s_m, SINGULAR * s_mm * s_1)
-    amplitude = (s_1 * s_my - s_m * s_y) / determinant
-    background = (s_mm * s_y - s_m * s_my) / determinant
-    chi_square, place_gradient, width_gradient = black_weight * background * background, 0.0, 0.0
-    for s in range(count):
-        residual = sample[0, s] - amplitude * curve[0, s] - background
-        weighted = sample[1, s] * residual
-        chi_square += weighted * residual
-        place_gradient += weighted * curve[1, s]
-        width_gradient += weighted * curve[2, s]
-    square = amplitude * amplitude
-    information = square * (p_p - (s_1 * p_m * p_m - 2.0 * s_m * p_m * p_1 + s_mm * p_1 * p_1) / determinant)
-    mixed = square * (p_w - (s_1 * p_m * w_m - s_m * (p_m * w_1 + p_1 * w_m) + s_mm * p_1 * w_1) / determinant)
-    own = square * (w_w - (s_1 * w_m * w_m - 2.0 * s_m * w_m * w_1 + s_mm * w_1 * w_1) / determinant)
-    own = max(own, 0.0)
-    place_gradient *= amplitude
-    width_gradient = amplitude * width_gradient - precision * difference
-    both = own + precision
-    # What is left for the place when the width may move with it.
-    left = max(information - mixed * mixed / both, 1e-12)
-    # Where the curve is flat the step stays within the distance to the next sample.
-    damped = left + 1.0 / (limit_px * limit_px)
-    place_step = (place_gradient - mixed / both * width_gradient) / damped
-    return (
-        place_step,
-        (width_gradient - mixed * place_step) / both,
-        1.0 / np.sqrt(both),
-        1.0 / np.sqrt(left),
-        amplitude,
-        background,
-        max(own - mixed * mixed / max(information, 1e-12), 0.0),
-        chi_square,
-        max(usable - 2.0 - own / both, 1.0),
-    )
+    sums = np.zeros((13, LANES))
+    black_weight, known_width, known_sd = 1.0 / pixels.read, pixels.log_width, pixels.width_sd
+    for s in range(curve.shape[1]):
+        for k in range(LANES):
+            height, weight = sample[0, s, k], sample[1, s, k]
+            value, by_place, by_width = curve[0, s, k], curve[1, s, k], curve[2, s, k]
+            lit, place, width = weight * value, weight * by_place, weight * by_width
+            sums[0, k] += weight
+            sums[1, k] += weight * height
+            sums[2, k] += lit
+            sums[3, k] += lit * value
+            sums[4, k] += lit * height
+            sums[5, k] += place
+            sums[6, k] += place * value
+            sums[7, k] += place * by_place
+            sums[8, k] += place * by_width
+            sums[9, k] += width
+            sums[10, k] += width * value
+            sums[11, k] += width * by_width
+            sums[12, k] += 1.0 if weight > 0.0 else 0.0
+    for k in range(LANES):
+        s_1, s_mm = sums[0, k] + black_weight, sums[3, k] + LEAST
+        sums[0, k], sums[3, k] = s_1, s_mm
+        determinant = max(s_mm * s_1 - sums[2, k] * sums[2, k], SINGULAR * s_mm * s_1)
+        found[0, k] = determinant
+        found[4, k] = (s_1 * sums[4, k] - sums[2, k] * sums[1, k]) / determinant
+        found[5, k] = (s_mm * sums[1, k] - sums[2, k] * sums[4, k]) / determinant
+    gradient = np.zeros((3, LANES))
+    for s in range(curve.shape[1]):
+        for k in range(LANES):
+            residual = sample[0, s, k] - found[4, k] * curve[0, s, k] - found[5, k]
+            weighted = sample[1, s, k] * residual
+            gradient[0, k] += weighted * curve[1, s, k]
+            gradient[1, k] += weighted * curve[2, s, k]
+            gradient[2, k] += weighted * residual
+    for k in range(LANES):
+        s_1, s_m, s_mm, determinant = sums[0, k], sums[2, k], sums[3, k], found[0, k]
+        p_1, p_m, w_1, w_m = sums[5, k], sums[6, k], sums[9, k], sums[10, k]
+        amplitude, background = found[4, k], found[5, k]
+        square = amplitude * amplitude
+        taken = (s_1 * p_m * p_m - 2.0 * s_m * p_m * p_1 + s_mm * p_1 * p_1) / determinant
+        mixed = (s_1 * p_m * w_m - s_m * (p_m * w_1 + p_1 * w_m) + s_mm * p_1 * w_1) / determinant
+        width_taken = (s_1 * w_m * w_m - 2.0 * s_m * w_m * w_1 + s_mm * w_1 * w_1) / determinant
+        information, mixed = square * (sums[7, k] - taken), square * (sums[8, k] - mixed)
+        own = max(square * (sums[11, k] - width_taken), 0.0)
+        precision = 1.0 / (known_sd[lanes[k]] * known_sd[lanes[k]])
+        both = own + precision
+        # What is left for the place when the width may move with it.
+        left = max(information - mixed * mixed / both, LEAST)
+        pull = amplitude * gradient[1, k] + precision * (known_width[lanes[k]] - log_width[lanes[k]])
+        # Where the curve is flat the step stays within the distance to the next sample.
+        step = (amplitude * gradient[0, k] - mixed / both * pull) / (left + 1.0 / (limit_px * limit_px))
+        found[0, k], found[1, k] = step, (pull - mixed * step) / both
+        found[2, k], found[3, k] = 1.0 / np.sqrt(left), 1.0 / np.sqrt(both)
+        found[6, k] = max(own - mixed * mixed / max(information, LEAST), 0.0)
+        found[7, k] = gradient[2, k] + black_weight * background * background
+        found[8, k] = max(sums[12, k] - 2.0 - own / both, 1.0)
