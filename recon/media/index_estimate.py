@@ -8,6 +8,8 @@ from jaxtyping import Float64, Int64
 NORMAL_CONSISTENT_MAD = 1.4826
 # Geman and McClure's loss (1987) with this width keeps 95 % of the efficiency of least squares for Gaussian noise.
 LOSS_WIDTH_SD = 3.787
+# A variance from fewer groups means nothing.
+FEWEST_GROUPS = 4
 
 
 @dataclass(frozen=True, slots=True)
@@ -59,3 +61,28 @@ def variance_by_bands(
         for group in (row, column, row * (int(column.max()) + 1) + column)
     )
     return max(by_row + by_column - by_both, by_row, by_column, by_both)
+
+
+def variance_by_leaving_out(
+    regressors: Float64[np.ndarray, "equations unknowns"],
+    instruments: Float64[np.ndarray, "equations unknowns"],
+    right: Float64[np.ndarray, " equations"],
+    group: Int64[np.ndarray, " equations"],
+) -> float:
+    """Return the variance of the first unknown by the jackknife over groups (Efron 1982, chapter 3).
+
+    Where a few groups have most of the lever they draw the answer to themselves, and their residuals no longer show their errors:
+    only leaving them out does.
+    """
+    count = int(group.max()) + 1
+    unknowns = range(regressors.shape[1])
+    matrix = np.array(
+        [[np.bincount(group, instruments[:, i] * regressors[:, k], count) for k in unknowns] for i in unknowns]
+    )
+    vector = np.array([np.bincount(group, instruments[:, i] * right, count) for i in unknowns])
+    there = np.flatnonzero(np.bincount(group, minlength=count))
+    if len(there) < FEWEST_GROUPS:
+        return 0.0
+    without = (matrix.sum(axis=2)[..., None] - matrix)[..., there], (vector.sum(axis=1)[:, None] - vector)[:, there]
+    answers = np.linalg.solve(np.moveaxis(without[0], 2, 0), without[1].T[..., None])[:, 0, 0]
+    return float((len(there) - 1) * answers.var())

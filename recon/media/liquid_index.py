@@ -48,8 +48,8 @@ def measured_index(crossing: Crossing, manifest: Manifest) -> MeasuredIndex:
         row, column = np.divmod(crossing.pixels[beside], camera.columns)
         upright = np.median(crossing.normal[beside], axis=0)
         level = index_from_level(
-            crossing.liquid.direction[beside],
-            crossing.air.direction[beside],
+            crossing.liquid.some(beside),
+            crossing.air.some(beside),
             upright=upright / np.linalg.norm(upright),
             place=np.column_stack([row / camera.rows, column / camera.columns]),
             n_air=manifest.n_air,

@@ -113,3 +113,16 @@ def test_a_spot_of_scattered_odd_pixels_is_left_out_whole_and_with_those_beside_
     reach = 3 + GROWN_PX
     assert spot[within].all()
     assert not spot[(np.abs(row - 20) > reach) | (np.abs(col - 12) > reach)].any()
+
+
+def test_nothing_within_a_block_of_an_edge_that_air_shows_too_is_a_spot() -> None:
+    odd = np.zeros(SHAPE, bool)
+    odd[4:8, 20:24] = True
+    odd[20:24, 20:24] = True
+    crease = np.zeros(SHAPE, bool)
+    crease[2, :] = True
+    status = np.where(odd | crease, np.uint8(PixelStatus.BAD_FIT), np.uint8(PixelStatus.OK))
+    both = wet_spots(sweeps_with({"pos0_liquid": odd}), status, np.zeros(SHAPE, bool))
+    assert [(spot.row, spot.col) for spot in both] == [(5, 21), (21, 21)]
+    inner = wet_spots(sweeps_with({"pos0_liquid": odd, "pos1_air": crease}), status, np.zeros(SHAPE, bool))
+    assert [(spot.row, spot.col) for spot in inner] == [(21, 21)]

@@ -7,6 +7,7 @@ import pytest
 from traced_session import Mishap, TracedSession, traced_session
 
 from recon.errors import ReconError
+from recon.geometry.light_paths import LightPaths, ScreenNoise
 from recon.media.level_index import index_from_level
 from recon.media.liquid_index import chosen_index, index_sentences, measured_index, with_index_uncertainty
 from recon.media.stated_index import StatedIndex, index_of, provisional, stated_index, with_index
@@ -97,20 +98,80 @@ def test_object_alone_shows_the_index_to_within_its_own_uncertainty() -> None:
     assert abs(chords.n - 1.3) < 4 * chords.sd
 
 
-@pytest.mark.parametrize("n_liquid", [1.2, 1.36, 1.5])
-def test_exact_paths_at_a_level_give_the_index_whatever_the_tilt(n_liquid: float) -> None:
-    rng = np.random.default_rng(1)
-    place = rng.uniform(0, 1, (2000, 2))
-    lean = np.array([0.03, -0.02, -1.0]) / np.linalg.norm([0.03, -0.02, -1.0])
-    air = np.column_stack([0.3 * (place[:, 1] - 0.5), 0.3 * (place[:, 0] - 0.5), -np.ones(2000)])
+def directed(direction: np.ndarray, sd_rad: np.ndarray) -> LightPaths:
+    """Return paths with these unit directions, known to ``sd_rad`` along x and y."""
+    nowhere, baseline = np.zeros_like(direction), np.full(len(direction), 10.0)
+    noise = ScreenNoise(sd_rad * 10.0 / np.sqrt(2.0), np.eye(3)[:, :2])
+    return LightPaths(nowhere, nowhere, direction, baseline, noise, noise)
+
+
+def at_level(n_liquid: float, place: np.ndarray, lean: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Return the directions in liquid and in air of light that a plane refracts, seen over ±0.15 rad."""
+    air = np.column_stack([0.3 * (place[:, 1] - 0.5), 0.3 * (place[:, 0] - 0.5), -np.ones(len(place))])
     air /= np.linalg.norm(air, axis=1, keepdims=True)
     # Snell's law in vector form: the part across the upright shrinks by the ratio of the indices.
     across = (air - (air @ lean)[:, None] * lean) / n_liquid
-    liquid = across + np.sqrt(1 - (across**2).sum(axis=1, keepdims=True)) * lean
-    found = index_from_level(liquid, air, upright=np.array([0.0, 0.0, 1.0]), place=place, n_air=1.0)
+    return across + np.sqrt(1 - (across**2).sum(axis=1, keepdims=True)) * lean, air
+
+
+@pytest.mark.parametrize("n_liquid", [1.2, 1.36, 1.5])
+def test_exact_paths_at_a_level_give_the_index_whatever_the_tilt(n_liquid: float) -> None:
+    place = np.random.default_rng(1).uniform(0, 1, (2000, 2))
+    lean = np.array([0.03, -0.02, -1.0]) / np.linalg.norm([0.03, -0.02, -1.0])
+    liquid, air = at_level(n_liquid, place, lean)
+    exact = np.zeros((2000, 2))
+    found = index_from_level(
+        directed(liquid, exact), directed(air, exact), upright=np.array([0.0, 0.0, 1.0]), place=place, n_air=1.0
+    )
     assert found is not None
     # The lean of 2° is taken to first order about a provisional index.
     assert found.n == pytest.approx(n_liquid, abs=2e-4)
+
+
+UPRIGHT = np.array([0.0, 0.0, -1.0])
+# 120 × 120 pixels, of which an object hides the middle.
+GRID = (np.indices((120, 120)).reshape(2, -1).T + 0.5) / 120
+BESIDE = GRID[(np.abs(GRID - 0.5) > 0.3).any(axis=1)]
+
+
+def test_places_that_are_known_badly_do_not_count_as_those_that_are_known_well() -> None:
+    """A quarter of the pixels is a hundred times worse: the others alone have a variance a third larger than all good ones."""
+    rng = np.random.default_rng(2)
+    liquid, air = at_level(1.3355, BESIDE, UPRIGHT)
+    errors = {}
+    for bad_sd in (1e-5, 1e-3):
+        sd = np.where(rng.uniform(size=(len(BESIDE), 1)) < 0.25, bad_sd, 1e-5) * np.ones(2)
+        errors[bad_sd] = []
+        for _ in range(12):
+            noisy = [one + np.pad(rng.normal(0, sd), ((0, 0), (0, 1))) for one in (liquid, air)]
+            found = index_from_level(*(directed(one, sd) for one in noisy), upright=UPRIGHT, place=BESIDE, n_air=1.0)
+            assert found is not None
+            errors[bad_sd].append(found.n - 1.3355)
+    good, mixed = (float(np.sqrt(np.mean(np.square(errors[sd])))) for sd in (1e-5, 1e-3))
+    # 12 draws know a deviation to a fifth; the badly known ones, if they counted, would make it fifty times as large.
+    assert mixed < 2 * good
+
+
+def test_errors_alike_on_all_four_sides_of_the_photo_are_in_the_standard_deviation() -> None:
+    """Where camera and display are mirror-symmetric, what a ring of the photo errs is the same on its four sides."""
+    rng = np.random.default_rng(3)
+    liquid, air = at_level(1.3355, BESIDE, UPRIGHT)
+    sd = np.full((len(BESIDE), 2), 1e-5)
+    normalised = []
+    for _ in range(24):
+        ring = rng.normal(0, 1e-4, 60)
+        side = 2 * BESIDE - 1
+        shared = np.sign(side) * ring[np.minimum((np.abs(side) * 60).astype(int), 59)]
+        noisy = (
+            liquid
+            + np.column_stack([shared[:, 1], shared[:, 0], np.zeros(len(BESIDE))])
+            + rng.normal(0, 1e-5, liquid.shape)
+        )
+        found = index_from_level(directed(noisy, sd), directed(air, sd), upright=UPRIGHT, place=BESIDE, n_air=1.0)
+        assert found is not None
+        normalised.append((found.n - 1.3355) / found.sd)
+    # 24 draws: one sd of the rms is 0.15 where the sd is right.
+    assert 0.6 < float(np.sqrt(np.mean(np.square(normalised)))) < 1.45
 
 
 def test_reconstruction_without_an_index_uses_the_one_that_the_session_shows(hemisphere: TracedSession) -> None:
