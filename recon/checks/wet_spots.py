@@ -11,10 +11,10 @@ from scipy.ndimage import (
     binary_fill_holes,
     find_objects,
     label,
-    maximum_filter,
     uniform_filter,
 )
 
+from recon.checks.dry_edges import near_dry_edges
 from recon.status import PixelStatus
 from recon.sweeps.correspondence import SweepResult
 
@@ -26,9 +26,6 @@ DENSE_PX, DENSE_SHARE, DENSE_SIGMA = 5, 0.15, 4.0
 # So far beyond the last odd pixel light still passes the bubble.
 GROWN_PX = 2
 SMALLEST_PX = 9
-# A compressed photo carries an edge through whole blocks: so far from outline and creases, errors that neighbours share are no
-# bubble. An edge shows in air too, as pixels without a place or with a path past the object.
-BLOCK_PX = 8
 # A bubble shows a pixel the display by no path that is one curve, or by two.
 BAD_IN_LIQUID = (PixelStatus.BAD_FIT, PixelStatus.TWO_PATHS)
 # What is larger than this share of the object is not a spot.
@@ -82,7 +79,7 @@ def _regions(
         return np.zeros(status.shape, dtype=np.int32), {}
     sound = np.logical_and.reduce(dry)
     bad = sound & (np.logical_or.reduce(wet) | (status == PixelStatus.GAP_TOO_LARGE) | shared)
-    bad &= ~_near_edges(~sound | (status == PixelStatus.BESIDE_OBJECT))
+    bad &= ~near_dry_edges(sweeps, status == PixelStatus.BESIDE_OBJECT)
     local = uniform_filter(bad.astype(np.float64), DENSE_PX, mode="constant")
     on_object = sound & (status != PixelStatus.BESIDE_OBJECT)
     typical = float(np.median(local[on_object])) if on_object.any() else 0.0
@@ -99,13 +96,6 @@ def _regions(
         for number, (rows, cols) in enumerate(find_objects(regions), start=1)
         if SMALLEST_PX <= size[number] <= largest and _elongation(regions[rows, cols] == number) <= LONGEST
     }
-
-
-def _near_edges(elsewhere: Mask) -> Mask:
-    """Return the pixels within a block of what is not the object's sound face; specks of it make no edge."""
-    regions, _ = label(elsewhere, PATCH)
-    edges = elsewhere & (np.bincount(regions.ravel()) >= SMALLEST_PX)[regions]
-    return maximum_filter(edges, size=2 * BLOCK_PX + 1, mode="constant", cval=False)
 
 
 def _elongation(patch: Mask) -> float:

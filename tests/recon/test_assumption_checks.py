@@ -126,3 +126,8 @@ def test_nothing_within_a_block_of_an_edge_that_air_shows_too_is_a_spot() -> Non
     assert [(spot.row, spot.col) for spot in both] == [(5, 21), (21, 21)]
     inner = wet_spots(sweeps_with({"pos0_liquid": odd, "pos1_air": crease}), status, np.zeros(SHAPE, bool))
     assert [(spot.row, spot.col) for spot in inner] == [(21, 21)]
+    # A crease that leaves every curve sound: the place on the display goes on elsewhere.
+    jump = sweeps_with({"pos0_liquid": odd})
+    place = np.indices(SHAPE)[0] * 0.6 + np.where(np.indices(SHAPE)[0] > 2, 18.0, 0.0)
+    jump[("pos1_air", "y")] = replace(jump[("pos1_air", "y")], place_px=place)
+    assert wet_spots(jump, status, np.zeros(SHAPE, bool)) == inner
