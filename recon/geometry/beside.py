@@ -85,9 +85,11 @@ def liquid_surface(
     past &= _in_level_regions(past, in_sd, pixels=pixels, shape=shape)
     bent = on_level & aligned & ~past
     seen = past | (bent & _in_level_regions(bent, in_sd, pixels=pixels, shape=shape))
-    # Along the object's outline photos are compressed with errors of their own, which lift a crossing far off the level.
+    # Along the object's outline photos are compressed with errors of their own, which lift a crossing far off the level; a curve
+    # is drawn by up to half a device pixel there, one way at one position of the display and the other way at the other.
+    drawn_rad = manifest.display.pitch_mm / air.baseline_mm
     unbent = np.linalg.norm(_miss(air, camera_mm), axis=1) <= np.maximum(
-        STRAIGHT_RAD, DIRECTION_SIGMA * direction_sd_rad
+        np.maximum(STRAIGHT_RAD, drawn_rad), DIRECTION_SIGMA * direction_sd_rad
     )
     return seen | (unbent & aligned & _beside(past, pixels=pixels, shape=shape))
 
@@ -108,10 +110,13 @@ def _in_level_regions(
     pixels: np.ndarray,
     shape: tuple[int, int],
 ) -> Bool[np.ndarray, " pixels"]:
-    """Tell which pixels lie in regions of ``found`` larger than a neighbourhood, whose heights scatter about the level."""
+    """Tell which pixels lie in regions of ``found`` larger than a neighbourhood, whose heights scatter about the level.
+
+    A region goes on across a line of single pixels that show something else, or nothing.
+    """
     grid = np.zeros(shape, dtype=bool)
     grid.ravel()[pixels[found]] = True
-    regions, count = label(grid)
+    regions, count = label(maximum_filter(grid, 3))
     of_pixel = regions.ravel()[pixels]
     about = np.bincount(of_pixel[found], minlength=count + 1) > NEIGHBOURHOOD_PX**2
     about[0] = False

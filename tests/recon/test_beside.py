@@ -12,6 +12,7 @@ from recon.sessions.manifest import Manifest, Pose
 
 N_WATER = 1.333
 CAMERA_Z, LEVEL_Z = -60.0, 2.0
+PITCH_MM = 0.05
 SHAPE = (ROWS * 4, COLS * 4)
 POSES = tuple(Pose(centre_mm=(0.0, 0.0, z), x_axis=(1.0, 0.0, 0.0), y_axis=(0.0, 1.0, 0.0)) for z in (10.0, 20.0))
 
@@ -19,17 +20,24 @@ POSES = tuple(Pose(centre_mm=(0.0, 0.0, z), x_axis=(1.0, 0.0, 0.0), y_axis=(0.0,
 def scene(*, camera: bool = True) -> Manifest:
     fields = manifest()
     fields["liquid"]["n"] = N_WATER
+    fields["display"]["pitch_mm"] = PITCH_MM
     pose = {"centre_mm": [0.0, 0.0, CAMERA_Z], "x_axis": [1.0, 0.0, 0.0], "y_axis": [0.0, 1.0, 0.0]}
     fields["camera"] = {"columns": SHAPE[1], "rows": SHAPE[0], **({"pose": pose} if camera else {})}
     return Manifest.model_validate(fields)
 
 
-def paths(point: np.ndarray, direction: np.ndarray, rng: np.random.Generator, sd_mm: float) -> LightPaths:
-    """Return the paths through ``point`` whose light travels towards −z along ``direction``, measured with noise."""
+def paths(
+    point: np.ndarray, direction: np.ndarray, rng: np.random.Generator, sd_mm: float, drawn_mm: np.ndarray | float = 0.0
+) -> LightPaths:
+    """Return the paths through ``point`` whose light travels towards −z along ``direction``, measured with noise.
+
+    Places at the nearer display are ``drawn_mm`` too far along x, those at the farther one as much too near.
+    """
     hits = [
         (point + ((z - point[:, 2]) / direction[:, 2])[:, None] * direction)[:, :2]
         + rng.normal(0, sd_mm, (len(point), 2))
-        for z in (10.0, 20.0)
+        + np.column_stack([np.broadcast_to(sign * drawn_mm, len(point)), np.zeros(len(point))])
+        for z, sign in ((10.0, 1), (20.0, -1))
     ]
     sd = np.full((len(point), 2), sd_mm)
     return light_paths((hits[0], hits[1]), (sd, sd), POSES, cover_glass=None, n_medium=1.0)
@@ -94,6 +102,37 @@ def test_a_level_face_of_the_object_just_below_the_liquid_is_not_taken_for_it() 
     # Two standard deviations deep: the depth of these crossings is known to 0.037 mm at the median.
     _, face = marked(tilt=0.2, sd_mm=1e-3, depth_mm=0.075)
     assert face < 0.01
+
+
+def marked_at_outline(drawn_mm: float) -> float:
+    """Return the marked share of the last column that looks past an object whose light draws that column's places."""
+    rng = np.random.default_rng(4)
+    rows, cols = np.indices(SHAPE)
+    x, y = (cols.ravel() - SHAPE[1] / 2) * 0.3, (rows.ravel() - SHAPE[0] / 2) * 0.3
+    past = x <= 0
+    point = np.column_stack([x, y, np.full(x.size, LEVEL_Z)])[past]
+    out = point - [0.0, 0.0, CAMERA_Z]
+    out /= np.linalg.norm(out, axis=1, keepdims=True)
+    last = (x == 0)[past]
+    drawn = np.where(last, drawn_mm, 0.0)
+    liquid = paths(point, -wet(out, np.array([0.0, 0.0, 1.0])), rng, 1e-4, -drawn)
+    air = paths(point, -out, rng, 1e-4, drawn)
+    found = liquid_surface(
+        entry_points(liquid, air, weighted=True),
+        liquid,
+        air,
+        normals_from_paths(liquid.direction, air.direction, n_liquid=N_WATER, n_air=1.0),
+        scene(),
+        direction_sd_rad=np.full(len(point), 1e-5),
+        pixels=np.flatnonzero(past),
+        shape=SHAPE,
+    )
+    return float(found[last].mean())
+
+
+def test_a_pixel_of_the_level_whose_places_the_object_draws_by_less_than_half_a_device_pixel_is_still_marked() -> None:
+    assert marked_at_outline(0.4 * PITCH_MM) > 0.95
+    assert marked_at_outline(1.0 * PITCH_MM) < 0.05
 
 
 def test_nothing_is_marked_where_the_camera_is_not_known() -> None:
