@@ -40,3 +40,9 @@ class PhotoWindow:
         """Return the numbers that pixels of the photo have in the window, row by row."""
         row, col = np.divmod(pixels, self.columns)
         return (row - self.rows.start) * self.shape[1] + col - self.cols.start
+
+    def on_photo(self, values: np.ndarray, rows: int, *, nothing: float) -> np.ndarray:
+        """Lay a map of the window out on a photo of so many rows, which holds ``nothing`` elsewhere."""
+        whole = np.full((rows, self.columns, *values.shape[2:]), nothing, dtype=values.dtype)
+        whole[self.part] = values
+        return whole

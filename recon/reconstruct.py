@@ -69,6 +69,11 @@ class Crossing:
             liquid=self.liquid.some(rows), air=self.air.some(rows), points=self.points.some(rows), **vectors
         )
 
+    def on_surface(self) -> "Crossing":
+        """Return the pixels that have a normal of the object, and mostly a point; itself where they are all."""
+        surface_pixel = np.isin(self.status, (PixelStatus.OK, PixelStatus.PARALLEL_PATHS))
+        return self if surface_pixel.all() else self.some(surface_pixel)
+
 
 def cross_paths(
     sweeps: SweepResults,

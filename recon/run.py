@@ -19,9 +19,10 @@ from recon.report.writer import write_report
 from recon.running.kept_outcome import forget_outcome, keep_outcome, kept_outcome, outcome_key
 from recon.running.kept_report import keep_report, report_is_kept
 from recon.running.kept_scene import scene_of
-from recon.running.outcome import Outcome, read_mask, reconstruct
+from recon.running.outcome import Outcome, read_mask, reconstruct_taking
 from recon.running.run_metrics import metrics_of
 from recon.running.settings import Settings
+from recon.running.sweep_findings import sweep_findings
 from recon.sessions.session import MANIFEST_NAME, Session, open_session, parse_manifest
 from recon.sessions.wholeness import check_whole
 from recon.stage_timer import StageTimer
@@ -66,15 +67,17 @@ def run_session(
         key = outcome_key(session, sweeps, settings, known=known)
         found = None if settings.force else kept_outcome(out, key)
         stage.kept = found is not None
-        outcome = found or reconstruct(session, sweeps, settings, known=known)
+        findings = sweep_findings(sweeps, session.manifest)
+        outcome = found or reconstruct_taking(session, sweeps, settings, known=known)
+        sweeps.clear()
     with timer.stage("write maps, cloud and mesh") as stage:
         stage.kept = found is not None
         if found is None:
-            write_arrays(out, outcome, key=key)
+            write_arrays(out, outcome, key=key, threads=settings.threads or usable_cores())
     outcome = replace(outcome, warnings=(*doubts, *outcome.warnings))
     with timer.stage("compare the reference photos") as stage:
         scene, stage.kept = scene_of(session, outcome.maps, out=out, outcome_key=key, force=settings.force)
-    metrics = metrics_of(session, sweeps, outcome, settings, timer, scene, board)
+    metrics = metrics_of(session, findings, outcome, settings, timer, scene, board)
     save_metrics(metrics, out / METRICS_NAME)
     with timer.stage("report") as stage:
         stage.kept = not settings.force and report_is_kept(out, key, metrics, session.manifest)
@@ -181,21 +184,30 @@ def decode_session(
             raise
 
 
-def write_arrays(out: Path, outcome: Outcome, *, key: str) -> None:
-    """Write ``maps.npz``, ``cloud.ply``, ``mesh.ply`` and ``mesh.glb``, and keep them for the next run under ``key``."""
-    maps = outcome.maps
-    known = maps.with_point()
-    support = None if maps.support is None else maps.support[known]
+def write_arrays(out: Path, outcome: Outcome, *, key: str, threads: int) -> None:
+    """Write ``maps.npz``, ``cloud.ply``, ``mesh.ply`` and ``mesh.glb``, and keep them for the next run under ``key``.
+
+    With several ``threads`` cloud and mesh are written while the maps are compressed.
+    """
     try:
         forget_outcome(out)
-        save_maps(maps, out / MAPS_NAME)
-        write_cloud_ply(out / CLOUD_NAME, maps.point_mm[known], maps.normal[known], maps.sd_mm[known], support=support)
-        if outcome.mesh is not None:
-            write_mesh_ply(out / MESH_NAME, outcome.mesh)
-            write_mesh_glb(out / GLB_NAME, outcome.mesh)
-        else:  # the surface of an earlier run is not that of these maps
-            (out / MESH_NAME).unlink(missing_ok=True)
-            (out / GLB_NAME).unlink(missing_ok=True)
+        with ThreadPoolExecutor(min(threads, 2)) as pool:
+            jobs = [pool.submit(save_maps, outcome.maps, out / MAPS_NAME), pool.submit(_write_surface, out, outcome)]
+        for job in jobs:
+            job.result()
         keep_outcome(out, key, outcome)
     except OSError as error:
         raise ReconError(f"{out}: cannot be written ({error.strerror}); free some space") from error
+
+
+def _write_surface(out: Path, outcome: Outcome) -> None:
+    maps = outcome.maps
+    known = maps.with_point()
+    support = None if maps.support is None else maps.support[known]
+    write_cloud_ply(out / CLOUD_NAME, maps.point_mm[known], maps.normal[known], maps.sd_mm[known], support=support)
+    if outcome.mesh is not None:
+        write_mesh_ply(out / MESH_NAME, outcome.mesh)
+        write_mesh_glb(out / GLB_NAME, outcome.mesh)
+    else:  # the surface of an earlier run is not that of these maps
+        (out / MESH_NAME).unlink(missing_ok=True)
+        (out / GLB_NAME).unlink(missing_ok=True)

@@ -2,10 +2,8 @@
 
 from collections.abc import Mapping
 
-import numpy as np
-
 from recon.checks.leaning import Lean, lean
-from recon.checks.shared_gaps import AREA_SHARE, crossed_pixels, shared_gaps
+from recon.checks.shared_gaps import AREA_SHARE, SharedGaps
 from recon.checks.wet_spots import WetSpot, wet_spots
 from recon.maps import Maps
 from recon.reconstruct import Crossing
@@ -23,6 +21,7 @@ def assumption_doubts(
     crossing: Crossing,
     maps: Maps,
     crossed: StatusMap,
+    shared: SharedGaps,
     *,
     corner: tuple[int, int] = (0, 0),
 ) -> tuple[str, ...]:
@@ -30,12 +29,10 @@ def assumption_doubts(
 
     ``corner`` is the row and the column of the photo at which the maps begin.
     """
-    _, shared = shared_gaps(crossing, shape=(maps.status.shape[0], maps.status.shape[1]))
-    share = np.count_nonzero(shared) / max(crossed_pixels(crossing), 1)
     doubts = []
-    if share > AREA_SHARE:
-        doubts.append(_shared_sentence(share))
-    spots = wet_spots(sweeps, crossed, shared)
+    if shared.share > AREA_SHARE:
+        doubts.append(_shared_sentence(shared.share))
+    spots = wet_spots(sweeps, crossed, shared.stands_out)
     if spots:
         doubts.append(_spots_sentence(spots, corner))
     leaning = lean(crossing, maps)

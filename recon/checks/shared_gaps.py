@@ -3,7 +3,7 @@
 Light that enters the object again, or passes a bubble, comes along another path in liquid than in air; so do all its neighbours.
 """
 
-from dataclasses import replace
+from dataclasses import dataclass, replace
 
 import numpy as np
 from jaxtyping import Bool, Float64
@@ -30,8 +30,32 @@ AREA_CLOSED_PX, AREA_GROWN_PX = 9, 3
 GridMap = Float64[np.ndarray, "rows cols"]
 
 
-def shared_gaps(crossing: Crossing, *, shape: tuple[int, int]) -> tuple[GridMap, Bool[np.ndarray, "rows cols"]]:
-    """Return the mean normalised gap about each pixel of the object, NaN where too little is known, and where it stands out."""
+@dataclass(frozen=True, slots=True, eq=False)
+class SharedGaps:
+    """The mean normalised gap about each pixel of the object, NaN where too little is known, and where it stands out.
+
+    ``crossed`` is how many pixels have paths that were crossed on the object.
+    """
+
+    mean: GridMap
+    stands_out: Bool[np.ndarray, "rows cols"]
+    crossed: int
+
+    @property
+    def share(self) -> float:
+        """The share of the object where it stands out."""
+        return np.count_nonzero(self.stands_out) / max(self.crossed, 1)
+
+    def area(self) -> Bool[np.ndarray, "rows cols"]:
+        """Return the area whose gaps neighbours share, whole and with its edge; nothing where only spots stand out."""
+        if self.share <= AREA_SHARE:
+            return np.zeros(self.mean.shape, dtype=bool)
+        closed = binary_closing(self.stands_out, np.ones((AREA_CLOSED_PX,) * 2, dtype=bool))
+        return binary_dilation(closed | self.stands_out, np.ones((3, 3), dtype=bool), iterations=AREA_GROWN_PX)
+
+
+def shared_gaps(crossing: Crossing, *, shape: tuple[int, int]) -> SharedGaps:
+    """Average the gaps about each pixel of the object."""
     with np.errstate(divide="ignore", invalid="ignore"):
         normalised = crossing.points.gap_mm / crossing.points.gap_sd_mm
     used = np.isfinite(normalised) & np.isin(crossing.status, (PixelStatus.OK, PixelStatus.GAP_TOO_LARGE))
@@ -44,37 +68,24 @@ def shared_gaps(crossing: Crossing, *, shape: tuple[int, int]) -> tuple[GridMap,
     mean = np.where(enough, uniform_filter(gap, WINDOW_PX, mode="constant") * area / np.maximum(count, 1.0), np.nan)
     with np.errstate(invalid="ignore"):
         stands_out = enough & (np.abs(mean) * np.sqrt(count) > SIGMA) & (np.abs(mean) > SHARED_SD)
-    return mean, stands_out
+    crossed = int(np.count_nonzero(np.isin(crossing.status, (PixelStatus.OK, PixelStatus.GAP_TOO_LARGE))))
+    return SharedGaps(mean, stands_out, crossed)
 
 
-def shared_area(crossing: Crossing, *, shape: tuple[int, int]) -> Bool[np.ndarray, "rows cols"]:
-    """Return the area whose gaps neighbours share, whole and with its edge; nothing where only spots stand out."""
-    _, stands_out = shared_gaps(crossing, shape=shape)
-    if np.count_nonzero(stands_out) <= AREA_SHARE * crossed_pixels(crossing):
-        return np.zeros(shape, dtype=bool)
-    closed = binary_closing(stands_out, np.ones((AREA_CLOSED_PX,) * 2, dtype=bool))
-    return binary_dilation(closed | stands_out, np.ones((3, 3), dtype=bool), iterations=AREA_GROWN_PX)
-
-
-def crossed_pixels(crossing: Crossing) -> int:
-    """Return how many pixels have paths that were crossed on the object."""
-    return int(np.count_nonzero(np.isin(crossing.status, (PixelStatus.OK, PixelStatus.GAP_TOO_LARGE))))
-
-
-def with_shared_gaps(crossing: Crossing, *, shape: tuple[int, int], n_liquid: float, n_air: float) -> Crossing:
+def with_shared_gaps(crossing: Crossing, shared: SharedGaps, *, n_liquid: float, n_air: float) -> Crossing:
     """Return the crossings with what neighbours' shared gaps say in the variances that neighbours cannot average out.
 
     A path that is off by so much across the plane of both paths may be off as much within it, which moves the crossing by the
     gap over the sine of the angle; and turned by the gap over the distance to the display, which turns the normal.
     """
-    mean, stands_out = shared_gaps(crossing, shape=shape)
+    stands_out = shared.stands_out
     if not stands_out.any():
         return crossing
     # What an area's edge and its inner parts hide is as large as what the nearest part that stands out shows.
     nearest = distance_transform_edt(~stands_out, return_distances=False, return_indices=True)
-    off = (stands_out | shared_area(crossing, shape=shape)).ravel()[crossing.pixels]
+    off = (stands_out | shared.area()).ravel()[crossing.pixels]
     points = crossing.points
-    shown = np.abs(np.nan_to_num(mean))[tuple(nearest)].ravel()[crossing.pixels]
+    shown = np.abs(np.nan_to_num(shared.mean))[tuple(nearest)].ravel()[crossing.pixels]
     shared_mm = np.where(off, shown * np.nan_to_num(points.gap_sd_mm), 0.0)
     u, v = crossing.liquid.direction, crossing.air.direction
     length = np.linalg.norm(n_liquid * u - n_air * v, axis=1)

@@ -67,12 +67,13 @@ class ObjectPart:
         values = {name: getattr(maps, name) for name in (*NAMES, *OPTIONAL_NAMES)}
         status = self.status.copy()
         status[self.window.part] = values.pop("status")
-        return Maps(status=status, **{name: self._spread(one, name) for name, one in values.items() if one is not None})
-
-    def _spread(self, values: np.ndarray, name: str) -> np.ndarray:
-        whole = np.full((*self.status.shape, *values.shape[2:]), NOTHING.get(name, np.nan), dtype=values.dtype)
-        whole[self.window.part] = values
-        return whole
+        rows = len(status)
+        laid_out = {
+            name: self.window.on_photo(one, rows, nothing=NOTHING.get(name, np.nan))
+            for name, one in values.items()
+            if one is not None
+        }
+        return Maps(status=status, **laid_out)
 
 
 def _cut(sweep: SweepResult, window: PhotoWindow) -> SweepResult:
@@ -85,11 +86,12 @@ def _cut(sweep: SweepResult, window: PhotoWindow) -> SweepResult:
         inside = (row >= window.rows.start) & (row < window.rows.stop)
         inside &= (col >= window.cols.start) & (col < window.cols.stop)
         second_px, second_sd_px = second_px[inside], second_sd_px[inside]
+    # Copies: a view would hold all of the photo.
     return replace(
         sweep,
-        place_px=sweep.place_px[window.part],
-        sd_px=sweep.sd_px[window.part],
-        status=status,
+        place_px=sweep.place_px[window.part].copy(),
+        sd_px=sweep.sd_px[window.part].copy(),
+        status=status.copy(),
         second_px=second_px,
         second_sd_px=second_sd_px,
     )

@@ -1,14 +1,16 @@
 """From correspondences to maps, mesh and their statistics, by the session's method."""
 
+from collections.abc import Mapping
 from dataclasses import dataclass, replace
 
 import numpy as np
+from jaxtyping import UInt8
 
 from recon.batch.cores import usable_cores
 from recon.calibration.calibration_file import read_calibration
 from recon.calibration.session_calibration import calibration_path
 from recon.checks.assumption_check import assumption_doubts
-from recon.checks.shared_gaps import shared_area, with_shared_gaps
+from recon.checks.shared_gaps import shared_gaps, with_shared_gaps
 from recon.checks.wet_spots import spot_pixels
 from recon.maps import Maps
 from recon.media.liquid_index import (
@@ -18,6 +20,7 @@ from recon.media.liquid_index import (
     with_index_uncertainty,
 )
 from recon.media.stated_index import provisional, stated_index, with_index
+from recon.memory import give_back_free_memory
 from recon.metrics import LiquidIndexRecord, RegistrationRecord, Statistic
 from recon.reconstruct import Crossing, cross_paths, maps_of, without_spots
 from recon.registration.gap_fit import MotionCovariance
@@ -38,6 +41,8 @@ from recon.surface.thin_stage import thin_object
 from recon.sweeps.correspondence import SweepResult
 from recon.sweeps.set_places import path_count
 from recon.verdict import gap_ratio, statistic
+
+PathCounts = UInt8[np.ndarray, "rows cols"]
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -65,7 +70,7 @@ def read_mask(session: Session) -> np.ndarray | None:
 
 def reconstruct(
     session: Session,
-    sweeps: dict[tuple[str, str], SweepResult],
+    sweeps: Mapping[tuple[str, str], SweepResult],
     settings: Settings,
     *,
     known: MotionCovariance | None = None,
@@ -74,16 +79,33 @@ def reconstruct(
 
     ``known`` is what the session's photos of a board leave unknown of the slips; without it, what its calibration does.
     """
+    return reconstruct_taking(session, dict(sweeps), settings, known=known)
+
+
+def reconstruct_taking(
+    session: Session,
+    sweeps: dict[tuple[str, str], SweepResult],
+    settings: Settings,
+    *,
+    known: MotionCovariance | None = None,
+) -> Outcome:
+    """Reconstruct as :func:`reconstruct` does, and let the sweeps go as soon as their part with the object is cut out.
+
+    ``sweeps`` may be empty afterwards: eight sweeps of a large photo take more memory than what is made of the object.
+    """
     manifest = session.manifest
     mask = read_mask(session)
     if manifest.method == "thin":
         thin = thin_object(sweeps, manifest, method=settings.method, inside_mask=mask, integration=settings.integration)
-        maps = _with_path_count(thin.maps, sweeps, settings)
+        maps = _with_path_count(thin.maps, _path_count(sweeps, settings))
         mesh, doubt = drawn_mesh(thin.mesh)
         return Outcome(maps, mesh, None, _statistics(maps, None), (*thin.warnings, *doubt))
+    paths = _path_count(sweeps, settings)
     part = ObjectPart.of(sweeps, manifest, inside_mask=mask)
+    sweeps.clear()
+    give_back_free_memory()
     found = _reconstruct(session, part, settings, known=known)
-    return replace(found, maps=_with_path_count(part.on_photo(found.maps), sweeps, settings))
+    return replace(found, maps=_with_path_count(part.on_photo(found.maps), paths))
 
 
 def _reconstruct(
@@ -105,14 +127,21 @@ def _reconstruct(
     if registration is not None:
         crossing = with_carried(crossing, registration, manifest)
     shape = (manifest.camera.rows, manifest.camera.columns)
-    own, apart = None, None
+    own, apart, shared, ratio = None, None, None, None
     before = status.reshape(shape)
     if settings.method == "full":
         status, crossing = without_spots(status, crossing, spot_pixels(sweeps, before))
-        crossing = with_shared_gaps(crossing, shape=shape, n_liquid=manifest.n_liquid(), n_air=manifest.n_air)
-        apart = shared_area(crossing, shape=shape)
+        shared = shared_gaps(crossing, shape=shape)
+        crossing = with_shared_gaps(crossing, shared, n_liquid=manifest.n_liquid(), n_air=manifest.n_air)
+        apart = shared.area()
         own = OwnPaths.of(sweeps, manifest, np.flatnonzero(np.isin(status, COVERABLE)))
+        # Those that miss by too much count as well: left out, a session that is wrong would look sound.
+        crossed = np.isin(crossing.status, (PixelStatus.OK, PixelStatus.GAP_TOO_LARGE))
+        ratio = gap_ratio(crossing.points.gap_mm[crossed], crossing.points.gap_sd_mm[crossed])
     maps = maps_of(status, crossing, shape=shape, method=settings.method)
+    # What is not of the surface has been asked for the last time.
+    crossing = crossing.on_surface()
+    give_back_free_memory()
     surface = surface_of(
         maps,
         crossing,
@@ -122,13 +151,9 @@ def _reconstruct(
         apart=apart,
         threads=settings.threads or usable_cores(),
     )
-    ratio: float | None = None
     doubts: tuple[str, ...] = ()
-    if settings.method == "full":
-        # Those that miss by too much count as well: left out, a session that is wrong would look sound.
-        crossed = np.isin(crossing.status, (PixelStatus.OK, PixelStatus.GAP_TOO_LARGE))
-        ratio = gap_ratio(crossing.points.gap_mm[crossed], crossing.points.gap_sd_mm[crossed])
-        doubts = assumption_doubts(sweeps, crossing, surface.maps, before, corner=part.corner)
+    if shared is not None:
+        doubts = assumption_doubts(sweeps, crossing, surface.maps, before, shared, corner=part.corner)
     told = registration.sentences(manifest.length_unit) if registration is not None else ()
     mesh, doubt = drawn_mesh(surface.mesh)
     return Outcome(
@@ -179,9 +204,13 @@ def _register(
     return registration, registered(manifest, registration.motions) if registration.applied else manifest
 
 
-def _with_path_count(maps: Maps, sweeps: dict[tuple[str, str], SweepResult], settings: Settings) -> Maps:
-    """Add what only method ``full`` looks for."""
-    return replace(maps, path_count=path_count(sweeps)) if settings.method == "full" else maps
+def _path_count(sweeps: Mapping[tuple[str, str], SweepResult], settings: Settings) -> PathCounts | None:
+    """Return by how many paths each pixel sees the display, which only method ``full`` looks for."""
+    return path_count(sweeps) if settings.method == "full" else None
+
+
+def _with_path_count(maps: Maps, paths: PathCounts | None) -> Maps:
+    return maps if paths is None else replace(maps, path_count=paths)
 
 
 def _statistics(maps: Maps, crossing: Crossing | None) -> tuple[Statistic, ...]:

@@ -106,8 +106,7 @@ def fused_surface(maps: Maps, crossing: Crossing, *, n_liquid: float, n_air: flo
     Pixels with parallel paths get their point from their neighbours. All of it happens in the part of the photo that holds the
     surface.
     """
-    surface_pixel = np.isin(crossing.status, (PixelStatus.OK, PixelStatus.PARALLEL_PATHS))
-    inner = crossing.some(surface_pixel)
+    inner = crossing.on_surface()
     shape = (maps.status.shape[0], maps.status.shape[1])
     window = PhotoWindow.about(inner.pixels, shape, margin_px=MARGIN_PX)
     found = _fused(
@@ -124,9 +123,7 @@ def fused_surface(maps: Maps, crossing: Crossing, *, n_liquid: float, n_air: flo
     surface[lost] = np.where(found.outlier[lost], PixelStatus.STANDS_ALONE, PixelStatus.PARALLEL_PATHS)
 
     def on_photo(values: np.ndarray, dtype: type, nothing: float = np.nan) -> np.ndarray:
-        whole = np.full((*shape, *values.shape[2:]), nothing, dtype=dtype)
-        whole[window.part] = values
-        return whole
+        return window.on_photo(values.astype(dtype, copy=False), shape[0], nothing=nothing)
 
     return replace(
         maps,

@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 from traced_session import Mishap, TracedSession, traced_session
 
-from recon.checks.shared_gaps import shared_area, shared_gaps, with_shared_gaps
+from recon.checks.shared_gaps import shared_gaps, with_shared_gaps
 from recon.checks.wet_spots import GROWN_PX, WetSpot, spot_pixels, wet_spots
 from recon.reconstruct import Limits, cross_paths
 from recon.registration.registration_stage import registration_of
@@ -48,9 +48,9 @@ def test_light_that_enters_again_is_no_slip_of_the_display_and_widens_the_standa
     assert not registration.applied
     _, crossing = cross_paths(session.sweeps, session.manifest, method="full", limits=Limits())
     shape = (scene.camera.rows, scene.camera.columns)
-    _, shared = shared_gaps(crossing, shape=shape)
-    found = with_shared_gaps(crossing, shape=shape, n_liquid=1.3355, n_air=1.0)
-    area = shared_area(crossing, shape=shape)
+    gaps = shared_gaps(crossing, shape=shape)
+    found = with_shared_gaps(crossing, gaps, n_liquid=1.3355, n_air=1.0)
+    shared, area = gaps.stands_out, gaps.area()
     np.testing.assert_array_equal(found.carried_mm2 > 0, (shared | area).ravel()[crossing.pixels])
     # The slot is on the side x > 0: the photo's right half, and it ends at the axis.
     assert not shared[:, : shape[1] // 2 - 3].any()
