@@ -8,7 +8,7 @@ import numpy as np
 
 from recon.compiled import compiled
 
-COLUMNS = 6
+COLUMNS = 4
 
 
 @compiled

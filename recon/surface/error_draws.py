@@ -18,7 +18,7 @@ from recon.surface.neighbours import Neighbours
 from recon.surface.ray_chords import Chords, Mask, PerPair, PerPixel, Rays, ScalarMap
 
 # Standard deviations are estimated from this many draws over this window: good to a tenth or better.
-DRAWS = 2 * COLUMNS
+DRAWS = 3 * COLUMNS
 DRAW_WINDOW_PX = 9
 DRAW_TOLERANCE = 1e-2  # of a draw, of which twelve tell an sd to a tenth
 DRAW_SEED = 20180601

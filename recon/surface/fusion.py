@@ -24,7 +24,7 @@ from recon.surface.error_draws import (
     independent_noise,
     standard_deviation,
 )
-from recon.surface.neighbours import Neighbours, components, neighbours_of, normal_equations
+from recon.surface.neighbours import Neighbours, components, neighbours_of, normal_equations, pairs_beyond
 from recon.surface.ray_chords import (
     Chords,
     Mask,
@@ -128,10 +128,11 @@ def fuse_on_rays(
     """
     used = _usable(mask, origin_mm, direction, normal, normal_sd_rad, distance_mm, distance_sd_mm)
     graph = neighbours_of(used)
+    beyond = pairs_beyond(graph)
     rays = rays_of(origin_mm, direction, distance_mm, distance_sd_mm, normal, normal_sd_rad, used)
-    sheets = sheets_of(chords_of(rays, graph, rays.measured_mm), graph, rays)
+    sheets = sheets_of(chords_of(rays, graph, beyond, rays.measured_mm), graph, rays)
     distance = _first_guess(rays, graph, sheets)
-    chords = chords_of(rays, graph, distance)
+    chords = chords_of(rays, graph, beyond, distance)
     pairs = _cut(_reweighted(contradiction(chords, graph, rays, distance)), sheets)
     positions = _position_weights(rays, distance)
     solver = SparseSolver()
@@ -144,7 +145,7 @@ def fuse_on_rays(
             rays = rays_of(origin_mm, direction, told_mm, told_sd_mm, normal, normal_sd_rad, used)
         if number == 0:
             sheets = with_long_jumps(sheets, graph, rays, distance)
-        chords = chords_of(rays, graph, distance)
+        chords = chords_of(rays, graph, beyond, distance)
         pairs = _cut(_reweighted(chords.residual(graph, distance) / np.sqrt(chords.variance)), sheets)
         positions = _position_weights(rays, distance)
     errors = np.full((DRAWS, *used.shape), np.nan, np.float32)

@@ -52,9 +52,9 @@ class PathNoise:
         distance_error = np.empty(len(rows), np.float32)
         normal_error, slide = (np.empty((len(rows), 3), np.float32) for _ in range(2))
         noises = [noise for paths in (self.liquid, self.air) for noise in (paths.near_noise, paths.far_noise)]
-        near_liquid, far_liquid, near_air, far_air = (
-            noise.sd_mm * rng.standard_normal(noise.sd_mm.shape) for noise in noises
-        )
+        near_liquid, far_liquid, near_air, far_air = (rng.standard_normal(noise.sd_mm.shape) for noise in noises)
+        for noise, drawn in zip(noises, (near_liquid, far_liquid, near_air, far_air), strict=True):
+            drawn *= noise.sd_mm
         _write_errors(
             rows,
             np.stack([noise.axes for noise in noises]),

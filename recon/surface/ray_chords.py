@@ -5,7 +5,8 @@ from dataclasses import dataclass
 import numpy as np
 from jaxtyping import Bool, Float64, Int32
 
-from recon.surface.neighbours import Neighbours, pairs_beyond
+from recon.compiled import compiled
+from recon.surface.neighbours import Neighbours
 
 VectorMap = Float64[np.ndarray, "rows cols 3"]
 ScalarMap = Float64[np.ndarray, "rows cols"]
@@ -19,6 +20,7 @@ SMALLEST_CHORD_SHARE = 1e-4
 # A normal of which nothing is known still points into the liquid: about so far from the middle of a hemisphere. A pixel
 # with such a normal stays tied to its neighbours.
 LARGEST_NORMAL_SD_RAD = 1.0
+TINY = np.finfo(float).tiny
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -83,40 +85,108 @@ def rays_of(
     )
 
 
-def chords_of(rays: Rays, graph: Neighbours, distance: PerPixel) -> Chords:
-    """Write down every pair's equation and its variance, for a surface near ``distance``."""
-    first, second = graph.first, graph.second
-    mean = rays.normal[first] + rays.normal[second]
-    mean *= (1 / np.maximum(np.sqrt(_dot(mean, mean)), np.finfo(float).tiny))[:, None]
-    along_first, along_second = rays.direction[first], rays.direction[second]
-    between = rays.origin[second] - rays.origin[first]
-    # The chord without the noise of the distances: go from ray to ray at the mean distance, then along the ray onto
-    # the tangent plane.
-    chord_mm = between + (0.5 * (distance[first] + distance[second]))[:, None] * (along_second - along_first)
-    at_first, at_second = -_dot(mean, along_first), _dot(mean, along_second)
-    slope = 0.5 * (at_second - at_first)
-    slope = np.where(np.abs(slope) > 1e-6, slope, 1e-6)
-    chord_mm -= (0.5 * _dot(mean, chord_mm) / slope)[:, None] * (along_first + along_second)
-    squared_length = _dot(chord_mm, chord_mm)
-    if len(squared_length):
-        # Two pixels that share a ray are as far apart as rounding says.
-        squared_length = np.maximum(squared_length, 1e-6 * np.median(squared_length))
-    # A normal serves both pairs on its line, so that along a line its error adds up whole: one tilt's variance a pixel.
-    tilt_variance = 0.5 * (rays.tilt_variance[first] + rays.tilt_variance[second])
-    bend = Bend.of(chord_mm, graph)
-    turn = rays.normal[second] - rays.normal[first]
-    return Chords(
-        at_first=at_first,
-        at_second=at_second,
-        right=bend.height_mm(_dot(turn, chord_mm)) - _dot(mean, between),
-        variance=np.maximum(squared_length * tilt_variance, _smallest_variance(rays)),
-        chord_mm=chord_mm,
-        bend=bend,
-    )
+def chords_of(
+    rays: Rays,
+    graph: Neighbours,
+    beyond: tuple[Int32[np.ndarray, " pairs"], Int32[np.ndarray, " pairs"]],
+    distance: PerPixel,
+) -> Chords:
+    """Write down every pair's equation and its variance, for a surface near ``distance``.
+
+    ``beyond`` are the pairs before and after each, as :func:`~recon.surface.neighbours.pairs_beyond` tells them.
+    """
+    pairs = len(graph.first)
+    at_first, at_second, right, variance, turn, per_squared, factor = (np.empty(pairs) for _ in range(7))
+    chord_mm = np.empty((pairs, 3))
+    ends = (graph.first, graph.second)
+    _write_chords(*ends, rays.origin, rays.direction, rays.normal, distance, at_first, at_second, right, turn, chord_mm)
+    squared_length = np.einsum("pi,pi->p", chord_mm, chord_mm)
+    _write_bend(squared_length, *beyond, per_squared, factor)
+    bend = Bend(*beyond, per_squared, factor)
+    right += bend.height_mm(turn)
+    # Two pixels that share a ray are as far apart as rounding says.
+    least = 1e-6 * float(np.median(squared_length)) if pairs else 0.0
+    _write_variance(*ends, squared_length, rays.tilt_variance, least, _smallest_variance(rays), variance)
+    return Chords(at_first, at_second, right, variance, chord_mm, bend)
 
 
-def _dot(first: Float64[np.ndarray, "pairs 3"], second: Float64[np.ndarray, "pairs 3"]) -> PerPair:
-    return np.einsum("pi,pi->p", first, second)
+@compiled
+def _write_chords(
+    first: np.ndarray,
+    second: np.ndarray,
+    origin: np.ndarray,
+    direction: np.ndarray,
+    normal: np.ndarray,
+    distance: np.ndarray,
+    at_first: np.ndarray,
+    at_second: np.ndarray,
+    right: np.ndarray,
+    turn: np.ndarray,
+    chord: np.ndarray,
+) -> None:
+    """Write each pair's equation without its bend, and how much the normal turns along the chord."""
+    for pair in range(len(first)):
+        one, other = first[pair], second[pair]
+        squared = 0.0
+        for k in range(3):
+            squared += (normal[one, k] + normal[other, k]) ** 2
+        shorter = 1 / max(np.sqrt(squared), TINY)
+        apart, half = 0.5 * (distance[one] + distance[other]), 0.0
+        before = after = between = 0.0
+        for k in range(3):
+            mean = shorter * (normal[one, k] + normal[other, k])
+            before -= mean * direction[one, k]
+            after += mean * direction[other, k]
+            # The chord without the noise of the distances: go from ray to ray at the mean distance, then along the ray onto
+            # the tangent plane.
+            step = origin[other, k] - origin[one, k]
+            between += mean * step
+            chord[pair, k] = step + apart * (direction[other, k] - direction[one, k])
+            half += 0.5 * mean * chord[pair, k]
+        slope = 0.5 * (after - before)
+        half /= slope if abs(slope) > 1e-6 else 1e-6
+        turned = 0.0
+        for k in range(3):
+            chord[pair, k] -= half * (direction[one, k] + direction[other, k])
+            turned += (normal[other, k] - normal[one, k]) * chord[pair, k]
+        at_first[pair], at_second[pair], right[pair], turn[pair] = before, after, -between, turned
+
+
+@compiled
+def _write_bend(
+    squared_length: np.ndarray, before: np.ndarray, after: np.ndarray, per_squared: np.ndarray, factor: np.ndarray
+) -> None:
+    """Write what :class:`Bend` needs of each chord: one over its squared length, and its factor."""
+    for pair in range(len(before)):
+        squared = max(squared_length[pair], TINY)
+        per_squared[pair] = 1 / squared
+        factor[pair] = 0.0
+        if before[pair] >= 0 and after[pair] >= 0:
+            length = np.sqrt(squared)
+            beside = np.sqrt(max(squared_length[before[pair]], TINY)) + np.sqrt(max(squared_length[after[pair]], TINY))
+            apart = length + 0.5 * beside
+            # On a steep rim chords grow fast, and a curvature far away says little of this one.
+            if apart < 4 * length:
+                factor[pair] = squared * length / (12 * apart)
+
+
+@compiled
+def _write_variance(
+    first: np.ndarray,
+    second: np.ndarray,
+    squared_length: np.ndarray,
+    tilt_variance: np.ndarray,
+    shortest: float,
+    least: float,
+    variance: np.ndarray,
+) -> None:
+    """Write the variance of each pair's equation.
+
+    A normal serves both pairs on its line, so that along a line its error adds up whole: one tilt's variance a pixel.
+    """
+    for pair in range(len(first)):
+        tilt = 0.5 * (tilt_variance[first[pair]] + tilt_variance[second[pair]])
+        variance[pair] = max(max(squared_length[pair], shortest) * tilt, least)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -131,17 +201,6 @@ class Bend:
     after: Int32[np.ndarray, " pairs"]
     per_squared: PerPair
     factor: PerPair
-
-    @classmethod
-    def of(cls, chord_mm: Float64[np.ndarray, "pairs 3"], graph: Neighbours) -> "Bend":
-        """Prepare for the chords' lengths, on whatever normals."""
-        squared = np.maximum(_dot(chord_mm, chord_mm), np.finfo(float).tiny)
-        length = np.sqrt(squared)
-        before, after = pairs_beyond(graph)
-        apart = length + 0.5 * (length[before] + length[after])
-        # On a steep rim chords grow fast, and a curvature far away says little of this one.
-        alike = (before >= 0) & (after >= 0) & (apart < 4 * length)
-        return cls(before, after, 1 / squared, np.where(alike, squared * length / (12 * apart), 0.0))
 
     def height_mm(self, turn_along_mm: PerPair) -> PerPair:
         """Return it for the change of the normal from each chord's first to its second end, along the chord."""

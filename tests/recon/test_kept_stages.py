@@ -12,9 +12,10 @@ from batch_example import EQUAL_FILES, hashes, simulate_one
 from recon.metrics import METRICS_NAME, Metrics, load_metrics
 from recon.reconstruct import Limits
 from recon.report.rewrite import rewrite_report
-from recon.run import decode_session, reconstruct, run_session
+from recon.run import decode_session, run_session
 from recon.running.kept_outcome import kept_outcome, outcome_key
 from recon.running.kept_stages import KEPT_NAME
+from recon.running.outcome import reconstruct
 from recon.running.settings import Settings
 from recon.sessions.session import open_session
 
