@@ -32,7 +32,7 @@ def assumption_doubts(
     doubts = []
     if shared.share > AREA_SHARE:
         doubts.append(_shared_sentence(shared.share))
-    spots = wet_spots(sweeps, crossed, shared.stands_out)
+    spots = wet_spots(sweeps, crossed, shared.stands_out, corner=corner)
     if spots:
         doubts.append(_spots_sentence(spots, corner))
     leaning = lean(crossing, maps)

@@ -8,12 +8,12 @@ from collections.abc import Mapping
 
 import numpy as np
 from jaxtyping import Bool, Float
-from scipy.ndimage import label, maximum_filter
+from scipy.ndimage import label
 
 from recon.status import PixelStatus
 from recon.sweeps.correspondence import SweepResult
 
-# JPEG's blocks: what an edge spoils in a photo lies no farther from it.
+# JPEG's blocks, counted from the photo's corner: an edge spoils those that it goes through.
 BLOCK_PX = 8
 # Fewer pixels together are specks and no edge.
 SMALLEST_PX = 9
@@ -26,15 +26,37 @@ Mask = Bool[np.ndarray, "rows cols"]
 Places = Float[np.ndarray, "rows cols"]
 
 
-def near_dry_edges(sweeps: Mapping[tuple[str, str], SweepResult], past: Mask) -> Mask:
-    """Return the pixels within a block of an edge; ``past`` pixels look past the object."""
+def dry_edge_blocks(
+    sweeps: Mapping[tuple[str, str], SweepResult], past: Mask, *, corner: tuple[int, int] = (0, 0)
+) -> Mask:
+    """Return the pixels of the blocks that an edge goes through; ``past`` pixels look past the object.
+
+    ``corner`` is the row and the column of the photo at which the maps begin.
+    """
     elsewhere = past.copy()
     for (name, _), sweep in sweeps.items():
         if name.endswith("_air"):
             elsewhere |= (sweep.status != PixelStatus.OK) | jumps(sweep.place_px)
     regions, _ = label(elsewhere, np.ones((3, 3), dtype=bool))
-    edges = elsewhere & (np.bincount(regions.ravel()) >= SMALLEST_PX)[regions]
-    return maximum_filter(edges, size=2 * BLOCK_PX + 1, mode="constant", cval=False)
+    return in_blocks(elsewhere & (np.bincount(regions.ravel()) >= SMALLEST_PX)[regions], corner=corner)
+
+
+def in_blocks(found: Mask, *, corner: tuple[int, int]) -> Mask:
+    """Return all pixels of the blocks that hold one of ``found``.
+
+    Examples
+    --------
+    >>> found = np.zeros((1, 20), dtype=bool)
+    >>> found[0, 8] = True
+    >>> [np.flatnonzero(in_blocks(found, corner=(0, col))[0]).tolist() for col in (0, 3)]
+    [[8, 9, 10, 11, 12, 13, 14, 15], [5, 6, 7, 8, 9, 10, 11, 12]]
+    """
+    rows, cols = found.shape
+    above, left = corner[0] % BLOCK_PX, corner[1] % BLOCK_PX
+    padded = np.pad(found, ((above, -(above + rows) % BLOCK_PX), (left, -(left + cols) % BLOCK_PX)))
+    blocks = padded.reshape(padded.shape[0] // BLOCK_PX, BLOCK_PX, -1, BLOCK_PX).any(axis=(1, 3))
+    whole = blocks.repeat(BLOCK_PX, axis=0).repeat(BLOCK_PX, axis=1)
+    return whole[above : above + rows, left : left + cols]
 
 
 def jumps(place_px: Places) -> Mask:

@@ -14,7 +14,7 @@ from scipy.ndimage import (
     uniform_filter,
 )
 
-from recon.checks.dry_edges import near_dry_edges
+from recon.checks.dry_edges import dry_edge_blocks
 from recon.status import PixelStatus
 from recon.sweeps.correspondence import SweepResult
 
@@ -28,6 +28,8 @@ GROWN_PX = 2
 SMALLEST_PX = 9
 # A bubble shows a pixel the display by no path that is one curve, or by two.
 BAD_IN_LIQUID = (PixelStatus.BAD_FIT, PixelStatus.TWO_PATHS)
+# Of a bubble's odd pixels some lie where no edge spoils the photos' blocks.
+CLEAR_SHARE = 0.25
 # What is larger than this share of the object is not a spot.
 LARGEST_SHARE = 0.05
 # A bubble is round, and seen through a lens oval; longer patches lie along edges of the object or rows of display pixels.
@@ -46,14 +48,18 @@ class WetSpot:
 
 
 def wet_spots(
-    sweeps: Mapping[tuple[str, str], SweepResult], status: UInt8[np.ndarray, "rows cols"], shared: Mask
+    sweeps: Mapping[tuple[str, str], SweepResult],
+    status: UInt8[np.ndarray, "rows cols"],
+    shared: Mask,
+    *,
+    corner: tuple[int, int] = (0, 0),
 ) -> tuple[WetSpot, ...]:
-    """Return the spots, the largest first.
+    """Return the spots, the largest first; ``corner`` is the row and the column of the photo at which the maps begin.
 
     A pixel belongs to one if it has places in both dry sets, and in the wet ones either no curve of one stripe, or paths that
     miss the dry ones as their neighbours' do (``shared``).
     """
-    regions, chosen = _regions(sweeps, status, shared)
+    regions, chosen = _regions(sweeps, status, shared, corner)
     size = np.bincount(regions.ravel())
     spots = [
         WetSpot((rows.start + rows.stop - 1) // 2, (cols.start + cols.stop - 1) // 2, int(size[number]))
@@ -62,15 +68,23 @@ def wet_spots(
     return tuple(sorted(spots, key=lambda spot: -spot.pixels))
 
 
-def spot_pixels(sweeps: Mapping[tuple[str, str], SweepResult], status: UInt8[np.ndarray, "rows cols"]) -> Mask:
+def spot_pixels(
+    sweeps: Mapping[tuple[str, str], SweepResult],
+    status: UInt8[np.ndarray, "rows cols"],
+    *,
+    corner: tuple[int, int] = (0, 0),
+) -> Mask:
     """Return the pixels of all spots and those just beyond: what they measured in the liquid may be wrong unseen."""
-    regions, chosen = _regions(sweeps, status, np.zeros(status.shape, dtype=bool))
+    regions, chosen = _regions(sweeps, status, np.zeros(status.shape, dtype=bool), corner)
     spots = np.isin(regions, list(chosen))
     return binary_dilation(spots, PATCH, iterations=GROWN_PX) if chosen else spots
 
 
 def _regions(
-    sweeps: Mapping[tuple[str, str], SweepResult], status: UInt8[np.ndarray, "rows cols"], shared: Mask
+    sweeps: Mapping[tuple[str, str], SweepResult],
+    status: UInt8[np.ndarray, "rows cols"],
+    shared: Mask,
+    corner: tuple[int, int],
 ) -> tuple[Int32[np.ndarray, "rows cols"], dict[int, tuple[slice, slice]]]:
     """Number the patches that are bad in liquid alone, and return the bounds of those that may be bubbles."""
     dry = [one.status == PixelStatus.OK for (name, _), one in sweeps.items() if name.endswith("_air")]
@@ -79,7 +93,7 @@ def _regions(
         return np.zeros(status.shape, dtype=np.int32), {}
     sound = np.logical_and.reduce(dry)
     bad = sound & (np.logical_or.reduce(wet) | (status == PixelStatus.GAP_TOO_LARGE) | shared)
-    bad &= ~near_dry_edges(sweeps, status == PixelStatus.BESIDE_OBJECT)
+    by_edge = dry_edge_blocks(sweeps, status == PixelStatus.BESIDE_OBJECT, corner=corner)
     local = uniform_filter(bad.astype(np.float64), DENSE_PX, mode="constant")
     on_object = sound & (status != PixelStatus.BESIDE_OBJECT)
     typical = float(np.median(local[on_object])) if on_object.any() else 0.0
@@ -91,10 +105,14 @@ def _regions(
     largest = LARGEST_SHARE * np.count_nonzero(
         np.isin(status, (PixelStatus.OK, PixelStatus.WET_SPOT, PixelStatus.GAP_TOO_LARGE, PixelStatus.BAD_FIT))
     )
+    clear = np.bincount(regions[dense & ~by_edge], minlength=count + 1)
+    odd = np.bincount(regions[dense], minlength=count + 1)
     return regions, {
         number: (rows, cols)
         for number, (rows, cols) in enumerate(find_objects(regions), start=1)
-        if SMALLEST_PX <= size[number] <= largest and _elongation(regions[rows, cols] == number) <= LONGEST
+        if SMALLEST_PX <= size[number] <= largest
+        and clear[number] >= CLEAR_SHARE * odd[number]
+        and _elongation(regions[rows, cols] == number) <= LONGEST
     }
 
 

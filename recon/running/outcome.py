@@ -130,7 +130,7 @@ def _reconstruct(
     own, apart, shared, ratio = None, None, None, None
     before = status.reshape(shape)
     if settings.method == "full":
-        status, crossing = without_spots(status, crossing, spot_pixels(sweeps, before))
+        status, crossing = without_spots(status, crossing, spot_pixels(sweeps, before, corner=part.corner))
         shared = shared_gaps(crossing, shape=shape)
         crossing = with_shared_gaps(crossing, shared, n_liquid=manifest.n_liquid(), n_air=manifest.n_air)
         apart = shared.area()
