@@ -49,6 +49,11 @@ class Errors:
         """Return the judged pixels that have a point and a normal."""
         return np.isfinite(self.point_mm)
 
+    def right(self, up_to_mm: float) -> MaskMap:
+        """Return the judged pixels whose point is off by no more than that."""
+        with np.errstate(invalid="ignore"):
+            return self.point_mm <= up_to_mm
+
 
 def truths_of(session: Path, ideal: Path, *, about_creases: bool, radius_mm: float) -> Truths:
     """Read the truth of a session, and find what the wrong assumption reaches by that of the ``ideal`` one."""

@@ -68,6 +68,8 @@ def test_errors_are_distances_from_truth_and_from_the_dome_where_there_is_none()
     everywhere = np.ones((1, 3), bool)
     found = errors_of(maps, Truths(true_point, true_normal, everywhere, everywhere, radius_mm=20.0), covered=False)
     np.testing.assert_allclose(found.point_mm, [[0.5, np.nan, 0.5]])
+    assert found.right(0.6).tolist() == [[True, False, True]]
+    assert not found.right(0.4).any()
     # By hand: cos = 0.8 between (0, 0.6, 0.8) and the radial direction.
     np.testing.assert_allclose(found.normal_deg, [[0.0, np.nan, np.degrees(np.arccos(0.8))]], atol=1e-6)
     np.testing.assert_allclose(found.sd_mm, [[0.25, np.nan, 0.25]])
