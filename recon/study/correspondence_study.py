@@ -13,7 +13,6 @@ from recon.study.study_result import Cell, Curve, StudyFigure, StudyTable
 from recon.sweeps.correspondence import window_half_width
 from recon.sweeps.curve_reach import curve_half_width
 from recon.sweeps.noise import dark_variance
-from recon.sweeps.stripe_peak import PeakTracker
 
 FOOTPRINTS_PX = (0.4, 0.6, 1.0, 1.5, 2.0, 3.0, 4.0)
 PEAK_SNRS = (30.0, 100.0, 300.0)
@@ -68,6 +67,7 @@ def decoded(
     """Photograph a sweep through a Gaussian footprint and decode it: noise, footprint and reach are the decoder's to find."""
     # Loads the compiler, which would slow every other command.
     from recon.sweeps.likelihood import places_by_likelihood
+    from recon.sweeps.peak_tracker import PeakTracker
 
     row, col = np.mgrid[:columns, :columns]
     centre = pattern.count / 2 + ADVANCE_PX[0] * (col - columns / 2) + ADVANCE_PX[1] * (row - columns / 2)

@@ -17,7 +17,7 @@ from recon.sweeps.curve_reach import curve_half_width
 from recon.sweeps.half_seen import less_than_half_seen
 from recon.sweeps.noise import NoiseModel, dark_variance
 from recon.sweeps.sample_curves import sample_curves
-from recon.sweeps.stripe_peak import NO_PEAK, PeakTracker, PeakWindows, parabola_offset
+from recon.sweeps.stripe_peak import NO_PEAK, PeakWindows, parabola_offset
 
 Method = Literal["paper", "full"]
 
@@ -65,6 +65,9 @@ def decode_sweep(
     on_photo: Callable[[], None] = lambda: None,
 ) -> SweepResult:
     """Stream the photos of one sweep, one at a time, and return every pixel's stripe place."""
+    # Loads the compiler, which would slow every command.
+    from recon.sweeps.peak_tracker import PeakTracker
+
     pattern = capture_set.sweep(axis).pattern
     assert isinstance(pattern, StripePattern)
     black, dark = _black_level(session, capture_set, axis)
@@ -81,7 +84,7 @@ def decode_sweep(
         )
     # Two paths are for the fit to tell apart.
     tracker = PeakTracker(floor, half_width=half_width, second=method == "full")
-    photos = _stream(session, capture_set, axis, tracker, clipped=saturation_count(black), on_photo=on_photo)
+    photos = _stream(session, capture_set, axis, tracker.feed, clipped=saturation_count(black), on_photo=on_photo)
     windows = tracker.finish()
     del tracker
     give_back_free_memory()
@@ -157,7 +160,7 @@ def _stream(
     session: Session,
     capture_set: CaptureSet,
     axis: Axis,
-    tracker: PeakTracker,
+    feed: Callable[[Counts], Counts | None],
     *,
     clipped: int,
     on_photo: Callable[[], None],
@@ -171,7 +174,7 @@ def _stream(
         quality.append(
             PhotoQuality(set=capture_set.name, sweep=axis, index=index, brightest=brightest, saturated_share=share)
         )
-        free = tracker.feed(counts)
+        free = feed(counts)
         on_photo()
     return tuple(quality)
 
@@ -203,7 +206,7 @@ def place_by_parabola(
         place[part] = pattern.first_px + pattern.step_px * index
     return SweepResult(
         place_px=place.reshape(black.shape),
-        sd_px=np.full(black.shape, np.nan, dtype=np.float32),
+        sd_px=np.broadcast_to(np.float32(np.nan), black.shape),
         status=status,
         noise=NoiseModel(dark),
         misfit=float("nan"),
@@ -223,7 +226,7 @@ def place_by_likelihood(
     continuous: bool,
 ) -> SweepResult:
     """Return the most likely place of the stripe in each pixel's window, with its standard deviation."""
-    # Loads the compiler, which the paper's method never needs.
+    # Loads the compiler, like the tracker.
     from recon.sweeps.likelihood import places_by_likelihood
 
     status = _status(windows, black.shape)

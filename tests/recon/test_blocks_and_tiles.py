@@ -7,7 +7,8 @@ from recon.sweeps.correspondence import lit_floor, median_of_five
 from recon.sweeps.decode_threads import threads_that_fit
 from recon.sweeps.footprint import TILE_PX, coordinate_gradient
 from recon.sweeps.noise import dark_variance
-from recon.sweeps.stripe_peak import BLOCK_PIXELS, NO_PEAK, PeakTracker
+from recon.sweeps.peak_tracker import BLOCK_PIXELS, PeakTracker
+from recon.sweeps.stripe_peak import NO_PEAK
 
 
 def test_a_pixel_of_the_last_block_is_found_like_one_of_the_first() -> None:

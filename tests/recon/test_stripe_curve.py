@@ -13,9 +13,10 @@ from recon.sweeps.curve_lookup import looked_up
 from recon.sweeps.curve_samples import CurveSamples, SweepCurves
 from recon.sweeps.curve_table import curve_table
 from recon.sweeps.noise import NoiseModel, beside_peak_variance, dark_variance, noise_from_residuals
+from recon.sweeps.peak_tracker import PeakTracker
 from recon.sweeps.stripe_fit import StripeFit, WidthPrior, fit_stripe
 from recon.sweeps.stripe_model import footprint_average
-from recon.sweeps.stripe_peak import NO_PEAK, PeakTracker, PeakWindows, parabola_offset
+from recon.sweeps.stripe_peak import NO_PEAK, PeakWindows, parabola_offset
 from recon.sweeps.width_prior import Footprints, known_prior
 
 COSINE = StripePattern(profile="raised_cosine", width_px=6.0, first_px=0.0, step_px=1.0, count=64)

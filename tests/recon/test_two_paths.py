@@ -8,8 +8,8 @@ from recon.study.stripe_bound import blurred_profile
 from recon.sweeps.curve_samples import SweepCurves
 from recon.sweeps.curve_table import curve_table
 from recon.sweeps.noise import NoiseModel
+from recon.sweeps.peak_tracker import PeakTracker
 from recon.sweeps.stripe_fit import WidthPrior, fit_stripe
-from recon.sweeps.stripe_peak import PeakTracker
 from recon.sweeps.two_paths import TwoPaths, two_paths, unresolved_px
 from recon.sweeps.width_prior import Footprints, known_prior
 
