@@ -6,6 +6,7 @@ import numpy as np
 from jaxtyping import Bool, Float32, Float64, Int, Int64
 
 from recon.sessions.manifest import StripePattern
+from recon.sweeps.curve_centres import curve_centres
 from recon.sweeps.curve_lookup import looked_up
 from recon.sweeps.curve_samples import SweepCurves
 from recon.sweeps.footprint import coordinate_gradient
@@ -23,8 +24,6 @@ FEW_PIXELS = 20_000
 NOISE_PIXELS = 100_000
 # The variance of a sample that the fit bends itself to cannot be read from its residual.
 LARGEST_LEVERAGE = 0.8
-# The part of a curve above this share of its peak tells its centre.
-CENTRE_LEVEL = 0.1
 BLUR_PIXELS = 2000
 BLUR_SPACING = 0.35
 OCCAM_SHARE = 0.03
@@ -36,7 +35,7 @@ SHARP_PX = 1e-3
 class CurveFits:
     """Fits the curves of the listed pixels, once it is known how noisy they are and how wide.
 
-    ``footprints`` are those of every pixel of the photo.
+    ``footprints`` are those of the listed pixels.
     """
 
     curves: SweepCurves
@@ -48,7 +47,7 @@ class CurveFits:
     def fit(self, rows: np.ndarray | slice) -> tuple[StripeFit, WidthPrior, TwoPaths]:
         """Fit some rows of the list; where the stripe lit a pixel twice, the brighter path is what was fitted."""
         pixels, pattern = self.pixels[rows], self.curves.table.pattern
-        prior = self.widths.prior(self.footprints.some(pixels), pixels)
+        prior = self.widths.prior(self.footprints.some(rows), pixels)
         fit = fit_stripe(self.curves, pixels, prior, noise=self.noise)
         two = two_paths(self.curves, pixels, prior, noise=self.noise)
         two = two.some(good_fit(two.first, pattern, noise=self.noise) & good_fit(two.second, pattern, noise=self.noise))
@@ -81,7 +80,7 @@ def prepared_fits(
 ) -> CurveFits:
     """Learn noise, blur and widths from an even lattice of the pixels."""
     black = curves.black.reshape(grid)
-    box_px = _boxes(curves, _centres(curves, pixels, grid=grid), pixels)
+    box_px = _boxes(curves, curve_centres(curves, pixels, grid=grid), pixels)
     some, spacing = _lattice(pixels, grid)
     few = slice(None, None, max(len(some) // NOISE_PIXELS, 1))
     dark_variance = max(dark_variance, beside_peak_variance(curves.windows, curves.black) or 0.0)
@@ -90,7 +89,7 @@ def prepared_fits(
     # What is taken for blur depends on the noise, and what for noise on the blur: twice round is enough.
     for of in (some[few], some):
         footprints = Footprints(box_px, _common_blur_px(curves, pixels, box_px, noise=noise))
-        prior = known_prior(footprints.some(pixels[of]), sd=GRADIENT_SD)
+        prior = known_prior(footprints.some(of), sd=GRADIENT_SD)
         fit = fit_stripe(curves, pixels[of], prior, noise=noise)
         told = few if of is some else slice(None)
         noise = _noise(
@@ -102,28 +101,8 @@ def prepared_fits(
             dark_variance=dark_variance,
             lone=lone,
         )
-    widths = neighbour_widths(fit, footprints.some(pixels[some]), pixels[some], grid=grid, spacing=spacing)
+    widths = neighbour_widths(fit, footprints.some(some), pixels[some], grid=grid, spacing=spacing)
     return CurveFits(curves, pixels, footprints, widths, noise)
-
-
-def _centres(curves: SweepCurves, pixels: np.ndarray, *, grid: tuple[int, int]) -> Float32[np.ndarray, "rows cols"]:
-    """Return a first guess of the places in device pixels: the centre of mass of each curve about its peak; else NaN."""
-    windows, pattern = curves.windows, curves.table.pattern
-    place_px = np.full(grid[0] * grid[1], np.nan, dtype=np.float32)
-    offset = np.arange(-windows.half_width, windows.half_width + 1)
-    for low in range(0, len(pixels), PIXELS_A_BLOCK):
-        part = pixels[low : low + PIXELS_A_BLOCK]
-        height = windows.samples[part].T.astype(np.float32, order="C")
-        height -= curves.black[part].astype(np.float32)
-        peak = windows.peak_index[part]
-        height[height <= CENTRE_LEVEL * height[windows.half_width]] = 0.0
-        for row, number in zip(height, offset, strict=True):
-            row[(peak < -number) | (peak >= windows.photo_count - number)] = 0.0
-        mean = np.einsum("s,sp->p", offset.astype(np.float32), height) / np.maximum(
-            height.sum(axis=0, dtype=np.float64), 1e-9
-        )
-        place_px[part] = pattern.first_px + pattern.step_px * (peak + mean)
-    return place_px.reshape(grid)
 
 
 def _common_blur_px(curves: SweepCurves, pixels: np.ndarray, box_px: np.ndarray, *, noise: NoiseModel) -> float:
@@ -140,7 +119,7 @@ def _common_blur_px(curves: SweepCurves, pixels: np.ndarray, box_px: np.ndarray,
         return float(blurs[0])
     misfit = []
     for blur in blurs:
-        prior = known_prior(Footprints(box_px[pixels[some]], float(blur)), sd=0.01)
+        prior = known_prior(Footprints(box_px[some], float(blur)), sd=0.01)
         fit = fit_stripe(curves, pixels[some], prior, noise=noise)
         # The logarithm keeps curves that no blur explains from deciding.
         misfit.append(float(np.log1p(fit.chi_square / fit.freedom).sum()))
@@ -151,17 +130,17 @@ def _common_blur_px(curves: SweepCurves, pixels: np.ndarray, box_px: np.ndarray,
 
 def _boxes(
     curves: SweepCurves, place_px: Float32[np.ndarray, "rows cols"], pixels: np.ndarray
-) -> Float32[np.ndarray, "photo 2"]:
+) -> Float32[np.ndarray, "pixels 2"]:
     """Return the widths of the two boxes of each listed pixel's footprint, from the gradient of the map of places."""
     table = curves.table
     quantum_px = table.pattern.step_px if table.continuous else max(table.pattern.step_px, 1.0)
-    widths = coordinate_gradient(place_px, np.isfinite(place_px), quantum_px=quantum_px).reshape(-1, 2)
+    gradient = coordinate_gradient(place_px, np.isfinite(place_px), quantum_px=quantum_px)
+    widths = gradient.reshape(-1, 2)[pixels]
     np.abs(widths, out=widths)
-    known = np.isfinite(widths[pixels, 0]) & np.isfinite(widths[pixels, 1])
+    known = np.isfinite(widths).all(axis=1)
     if not known.all():
-        told = pixels[known]
-        usual = [float(np.median(widths[told, axis])) if len(told) else 0.5 for axis in (0, 1)]
-        widths[pixels[~known]] = usual
+        told = widths[known]
+        widths[~known] = [float(np.median(one)) if len(told) else 0.5 for one in told.T]
     return widths
 
 

@@ -4,8 +4,8 @@ from dataclasses import dataclass
 
 import cv2
 import numpy as np
-from jaxtyping import Bool, Float32, Float64, Int
-from scipy.stats import chi2
+from jaxtyping import Bool, Float16, Float32, Float64, Int
+from scipy.special import chdtri
 
 from recon.memory import give_back_free_memory
 from recon.sessions.manifest import StripePattern
@@ -22,6 +22,8 @@ from recon.sweeps.two_paths import unresolved_px
 PIXELS_AT_ONCE = 1 << 17
 # One good curve in a thousand is taken for a bad one, whose own misfit then widens its sd.
 OWN_MISFIT_CHANCE = 1e-3
+# The median misfit of so many curves is that of all.
+MISFIT_PIXELS = 1 << 20
 # A curve still this high, as a share of its peak, at an end of its window shows one flank alone: its centre lies anywhere.
 CUT_OFF_LEVEL = 0.5
 SCALE_WINDOW_PX = 11
@@ -34,7 +36,7 @@ class LikelihoodPlaces:
     """Maps of the places and of their sds in device pixels, NaN where there is no good fit, and the fits behind them.
 
     The stripe lit the pixels ``twice``; ``second_px`` and ``second_sd_px`` are those of the path with less light. ``light`` is
-    the fitted amplitude, and ``misfit`` the median of chi-square over degrees of freedom, of all curves.
+    the fitted amplitude, and ``misfit`` the median of chi-square over degrees of freedom.
     """
 
     place_px: Float32[np.ndarray, "rows cols"]
@@ -79,10 +81,9 @@ def places_by_likelihood(
     curves = SweepCurves(windows, table, black.ravel(), clipped)
     fits = prepared_fits(curves, pixels, grid=black.shape, dark_variance=dark_variance)
     give_back_free_memory()
-    place_px, sd_px, light, chi_square, freedom, width_px = (
-        np.full(black.shape, np.nan, dtype=np.float32) for _ in range(6)
-    )
-    reach_px = np.full(black.shape, np.nan, dtype=np.float16)
+    place_px, sd_px, light, misfit, width_px = (np.full(black.shape, np.nan, dtype=np.float32) for _ in range(5))
+    # Half precision tells degrees of freedom, which are few, to a hundredth.
+    freedom, reach_px = (np.full(black.shape, np.nan, dtype=np.float16) for _ in range(2))
     unresolved: list[tuple[np.ndarray, np.ndarray]] = []
     twice, second_px, second_sd_px, second_width_px = [pixels[:0]], [np.empty(0)], [np.empty(0)], [np.empty(0)]
     for low in range(0, len(pixels), PIXELS_AT_ONCE):
@@ -94,7 +95,7 @@ def places_by_likelihood(
         cut_off[two.rows] = False
         good = good_fit(fit, pattern, noise=fits.noise) & ~cut_off
         for one, values in (
-            (chi_square, fit.chi_square),
+            (misfit, fit.chi_square / fit.freedom),
             (freedom, fit.freedom),
             (light, fit.amplitude),
             (width_px, np.exp(fit.log_width)),
@@ -105,16 +106,17 @@ def places_by_likelihood(
         unsure[two.rows] = 0.0
         unresolved.append((part[unsure > 0], unsure[unsure > 0].astype(np.float32)))
         flat = np.exp(prior.log_width) < angular_px(table)
-        reach_px.ravel()[part[flat]] = fits.footprints.box_px[part[flat]].sum(axis=1)
+        reach_px.ravel()[part[flat]] = fits.footprints.box_px[rows][flat].sum(axis=1)
         twice.append(part[two.rows])
         second_px.append(two.second.place_px)
         second_width_px.append(np.exp(two.second.log_width))
         ratio = two.second.chi_square / two.second.freedom
         second_sd_px.append(two.second.sd_px * np.sqrt(np.maximum(ratio, 1.0)))
     give_back_free_memory()
-    misfit = _median_ratio(chi_square, freedom, pixels)
-    _widen_by_misfit(sd_px, chi_square, freedom, np.isfinite(place_px))
-    del chi_square, freedom
+    few = misfit.ravel()[pixels[:: max(len(pixels) // MISFIT_PIXELS, 1)]]
+    usual_misfit = float(np.median(few)) if len(few) else float("nan")
+    _widen_by_misfit(sd_px, misfit, freedom, np.isfinite(place_px))
+    del misfit, freedom
     for unsure_pixels, unsure_px in unresolved:
         sd_px.ravel()[unsure_pixels] = np.hypot(sd_px.ravel()[unsure_pixels], unsure_px)
     beyond = scatter_beyond(place_px, sd_px, width_px)
@@ -132,20 +134,9 @@ def places_by_likelihood(
         second_px=np.concatenate(second_px),
         second_sd_px=np.hypot(np.concatenate(second_sd_px), beyond * np.concatenate(second_width_px)),
         light=light,
-        misfit=misfit,
+        misfit=usual_misfit,
         fits=fits,
     )
-
-
-def _median_ratio(
-    chi_square: Float32[np.ndarray, "rows cols"], freedom: Float32[np.ndarray, "rows cols"], pixels: np.ndarray
-) -> float:
-    """Return the median of chi-square over degrees of freedom of the listed pixels; NaN where there are none."""
-    if not len(pixels):
-        return float("nan")
-    ratio = chi_square.ravel()[pixels]
-    ratio /= freedom.ravel()[pixels]
-    return float(np.median(ratio, overwrite_input=True))
 
 
 def _cut_off(curves: SweepCurves, pixels: np.ndarray) -> Bool[np.ndarray, " pixels"]:
@@ -160,22 +151,22 @@ def _cut_off(curves: SweepCurves, pixels: np.ndarray) -> Bool[np.ndarray, " pixe
 
 def _widen_by_misfit(
     sd_px: Float32[np.ndarray, "rows cols"],
-    chi_square: Float32[np.ndarray, "rows cols"],
-    freedom: Float32[np.ndarray, "rows cols"],
+    misfit: Float32[np.ndarray, "rows cols"],
+    freedom: Float16[np.ndarray, "rows cols"],
     good: Bool[np.ndarray, "rows cols"],
 ) -> None:
-    """Widen each sd, in place, where curves are not quite the model's (Birge's ratio).
+    """Widen each sd, in place, where curves are not quite the model's (Birge's ratio): ``misfit`` is chi-square over ``freedom``.
 
     The ratio of the neighbourhood counts, whose own scatter is small; a pixel's own one does where chance does not explain it.
     """
     # The limit over the degrees of freedom is least where these are most: few pixels are worth asking for their own.
     most = float(freedom[good].max()) if good.any() else 1.0
-    least_limit = np.float32(chi2.isf(OWN_MISFIT_CHANCE, most) / most)
+    least_limit = np.float32(chdtri(most, OWN_MISFIT_CHANCE) / most)
     margin = SCALE_WINDOW_PX // 2
     for low in range(0, len(good), BAND_ROWS):
         above = max(low - margin, 0)
         band = slice(above, low + BAND_ROWS + margin)
-        ratio, inside = chi_square[band] / freedom[band], good[band].astype(np.float32)
+        ratio, inside = misfit[band], good[band].astype(np.float32)
         clean = np.where(good[band], np.minimum(ratio, np.float32(LARGEST_CLEAN_RATIO)), np.float32(0))
         total, number = (
             cv2.boxFilter(
@@ -189,7 +180,8 @@ def _widen_by_misfit(
         )
         local = np.maximum(total / np.maximum(number, 1), 1)
         doubtful = np.nonzero(good[band] & (ratio > local * least_limit))
-        limit = local[doubtful] * chi2.isf(OWN_MISFIT_CHANCE, freedom[band][doubtful])
-        own = np.where(chi_square[band][doubtful] > limit, ratio[doubtful], 0)
+        own_freedom = freedom[band][doubtful].astype(np.float64)
+        limit = local[doubtful] * chdtri(own_freedom, OWN_MISFIT_CHANCE) / own_freedom
+        own = np.where(ratio[doubtful] > limit, ratio[doubtful], 0)
         local[doubtful] = np.maximum(local[doubtful], own)
         sd_px[low : low + BAND_ROWS] *= np.sqrt(local[low - above :][:BAND_ROWS])

@@ -66,9 +66,11 @@ def told_by_neighbours(
     A new sd is the surface's, widened by its roughness, and in quadrature an even share of what the window knows: what is
     told adds nothing to what neighbours know, and must not count many times where places are averaged as independent.
     """
-    place, sd = place_px.copy(), sd_px.copy()
     usable = trusted & np.isfinite(place_px) & (sd_px > 0)
     waiting = usable & (reach_px >= 0)
+    if not waiting.any():
+        return place_px, sd_px
+    place, sd = place_px.copy(), sd_px.copy()
     for block_px in BLOCKS_PX:
         # The largest window is tried whatever the reach.
         smallest_px = WINDOW_REACH_PX / (3 * block_px) if block_px < BLOCKS_PX[-1] else 0.0

@@ -158,5 +158,7 @@ class _FewPeaks(_Peaks):
 
     def peaks(self, photo_count: int) -> SecondPeaks:
         """Return what was found in so many photos."""
-        index, samples = self.index[: self._count], self.samples[: self._count]
-        return SecondPeaks(self._row, PeakWindows(index, samples, samples.shape[1] // 2, photo_count))
+        pixels = np.flatnonzero(self._row != NO_PEAK).astype(np.int32)
+        rows = self._row[pixels]
+        index, samples = self.index[rows], self.samples[rows]
+        return SecondPeaks(pixels, PeakWindows(index, samples, samples.shape[1] // 2, photo_count))

@@ -6,7 +6,7 @@ The maximum-likelihood fit is in ``stripe_fit.py``, that of two peaks in ``two_p
 from dataclasses import dataclass
 
 import numpy as np
-from jaxtyping import Float64, Int32
+from jaxtyping import Float64, Int, Int32
 
 NO_PEAK = -1
 
@@ -34,10 +34,17 @@ class PeakWindows:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class SecondPeaks:
-    """The windows about a second maximum, which few pixels have: ``row`` [pixels] is that of a pixel, ``NO_PEAK`` for most."""
+    """The windows about a second maximum, of those pixels, in ascending order, that have one."""
 
-    row: Int32[np.ndarray, " pixels"]
+    pixels: Int32[np.ndarray, " two"]
     windows: PeakWindows
+
+    def rows_of(self, pixels: Int[np.ndarray, " pixels"]) -> Int[np.ndarray, " pixels"]:
+        """Return in which rows of the windows these pixels are, ``NO_PEAK`` for most."""
+        if not len(self.pixels):
+            return np.full(len(pixels), NO_PEAK)
+        row = np.minimum(np.searchsorted(self.pixels, pixels), len(self.pixels) - 1)
+        return np.where(self.pixels[row] == pixels, row, NO_PEAK)
 
 
 def parabola_offset(

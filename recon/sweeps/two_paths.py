@@ -83,7 +83,7 @@ def two_paths(
     risen = pixels[rows]
     one, other = (
         _peak(curves, windows, risen, pixels=risen),
-        _peak(curves, beyond.windows, beyond.row[risen], pixels=risen),
+        _peak(curves, beyond.windows, beyond.rows_of(risen), pixels=risen),
     )
     apart = _valley(one, other, photo_count=windows.photo_count, noise=noise)
     rows, one, other = rows[apart], one.some(apart), other.some(apart)
@@ -134,8 +134,9 @@ def _risen(
     curves: SweepCurves, second: SecondPeaks, pixels: np.ndarray, *, noise: NoiseModel
 ) -> Int64[np.ndarray, " risen"]:
     """Return the rows of the pixels whose second maximum is neither noise nor glare, and inside the sweep."""
-    some = np.flatnonzero(second.row[pixels] != NO_PEAK)
-    these, row = pixels[some], second.row[pixels[some]]
+    row = second.rows_of(pixels)
+    some = np.flatnonzero(row != NO_PEAK)
+    these, row = pixels[some], row[some]
     first, windows = curves.windows, second.windows
     middle = windows.half_width
     black = curves.black[these].astype(np.float32)

@@ -100,7 +100,7 @@ def test_the_second_peak_is_kept_whichever_comes_first(curve: list[int]) -> None
     first = tracker.finish()
     assert first.second is not None
     second = first.second.windows
-    assert first.second.row.tolist() == [0]
+    assert first.second.rows_of(np.arange(1)).tolist() == [0]
     assert first.samples[0].tolist() == [0, 30, 90, 30, 0]
     assert second.samples[0].tolist() == [0, 9, 50, 9, 0]
     assert {int(first.peak_index[0]), int(second.peak_index[0])} == {2, 8}
