@@ -24,7 +24,7 @@ DRAW_TOLERANCE = 1e-2  # of a draw, of which twelve tell an sd to a tenth
 DRAW_SEED = 20180601
 
 # So many of them also tell what the lateral places and the surface have in common.
-SLIDE_DRAWS = 4
+SLIDE_DRAWS = DRAWS
 
 SomePixels = Float32[np.ndarray, " pixels"]
 SomeVectors = Float32[np.ndarray, "pixels 3"]

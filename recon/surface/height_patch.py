@@ -11,7 +11,7 @@ from scipy.stats import chi2
 from recon.surface.error_draws import standard_deviation
 from recon.surface.lateral_places import LateralPlaces
 from recon.surface.ray_chords import Mask, ScalarMap, VectorMap
-from recon.surface.window_bias import Slopes, without_bias
+from recon.surface.window_bias import Slopes, whole_bias, without_bias
 from recon.surface.window_quadratic import WindowFit
 
 # One in a thousand smooth normals is turned down for its noise.
@@ -89,7 +89,8 @@ def patch_of(
     before: Slopes,
     trust: ScalarMap,
     *,
-    whole_bias: float,
+    half_width: int,
+    smaller: int,
 ) -> tuple[Patch, Slopes]:
     """Let each pixel's line of sight meet its polynomial, and carry the draws and the lateral place's sd along.
 
@@ -124,14 +125,14 @@ def patch_of(
         turns += np.stack([bend_p * error, bend_q * error])
     slope_p, slope_q, slope_variance = fit.drawn_slopes(point[..., 0], point[..., 1])
     now = Slopes(np.stack([np.r_[slopes[0][None], slope_p], np.r_[slopes[1][None], slope_q]]), slope_variance)
-    clear, left = without_bias(now, before, trust, whole_bias=whole_bias)
+    whole = _eroded(mask, 2 * half_width + 1)
+    clear, left = without_bias(now, before, trust, whole, whole_bias=whole_bias(half_width, smaller))
     # A window at a rim is less sure of its slopes than one inside: what is alike is the noise, in units of that.
     geometry = np.sqrt(slope_variance)
     tilts = np.sqrt(_tilt_squared(clear[0, 1:], clear[1, 1:], normal, length)) / geometry
     tilt_sd = geometry * standard_deviation(tilts, mask, window_px=TILT_WINDOW_PX)
-    turn_sd = np.sqrt(turn_variance)
-    alike = _correlation(clear[:, 1:], turns, tilt_sd, turn_sd, mask, normal, length)
-    noise_squared = tilt_sd**2 + turn_variance + 2 * alike * tilt_sd * turn_sd
+    expected = tilt_sd**2 + turn_variance
+    noise_squared = expected * _put_right(clear[:, 1:] + turns, expected, mask, normal, length)
     lifted = standard_deviation(fit.drawn_values(point[..., 0], point[..., 1]), mask) / length
     patch = Patch(
         point=point,
@@ -149,32 +150,32 @@ def _unit(p: ScalarMap, q: ScalarMap) -> VectorMap:
     return upward / np.linalg.norm(upward, axis=-1, keepdims=True)
 
 
-def _correlation(
-    tilts: Float64[np.ndarray, "2 draws rows cols"],
-    turns: Float64[np.ndarray, "2 slides rows cols"],
-    tilt_sd: ScalarMap,
-    turn_sd: ScalarMap,
+def _put_right(
+    drawn: Float64[np.ndarray, "2 draws rows cols"],
+    expected: ScalarMap,
     mask: Mask,
     normal: np.ndarray,
     length: np.ndarray,
 ) -> ScalarMap:
-    """Return how the tilts of a window correlate with the turns by its lateral place, which comes from the same paths.
+    """Return the variance of the normals' noise over that of its two parts, if these knew nothing of each other.
 
-    A path that is off by noise sees the normal of another place; looking for the normal at the place that it tells puts much of
-    that right. Near a rim, where windows are cut, nothing is taken for granted.
+    Both parts, the tilt of a window and the turn by its lateral place, come from the same paths. A path that is off by noise sees
+    the normal of another place; looking for the normal at the place that it tells puts much of that right. How much differs
+    between windows that are cut at a rim and whole ones: each is told by those as far from the rim.
     """
-    both = tilts[:, : turns.shape[1]] + turns
-    apart = tilts[:, : turns.shape[1]] - turns
-    shared = _tilt_squared(both[0], both[1], normal, length) - _tilt_squared(apart[0], apart[1], normal, length)
-    scale = 4 * tilt_sd * turn_sd
-    whole = cv2.erode(mask.astype(np.uint8), np.ones((SHARED_WHOLE_PX, SHARED_WHOLE_PX), np.uint8)) > 0
-    each = np.divide(shared.mean(axis=0), scale, out=np.zeros(mask.shape), where=whole & (scale > 0))
-    window = (TILT_WINDOW_PX, TILT_WINDOW_PX)
-    total, count = (
-        cv2.boxFilter(values, cv2.CV_64F, window, normalize=False, borderType=cv2.BORDER_CONSTANT)
-        for values in (each, whole.astype(np.float64))
-    )
-    return np.where(whole, np.clip(total / np.maximum(count, 1.0), -1.0, 1.0), 0.0)
+    squares = _tilt_squared(drawn[0], drawn[1], normal, length).mean(axis=0)
+    ratio = np.sqrt(np.divide(squares, expected, out=np.zeros(mask.shape), where=mask & (expected > 0)))[None]
+    ring = sum(_eroded(mask, side).astype(np.uint8) for side in range(3, SHARED_WHOLE_PX + 1, 2))
+    share = np.ones(mask.shape)
+    for number in range(SHARED_WHOLE_PX // 2 + 1):
+        there = mask & (ring == number)
+        share[there] = standard_deviation(ratio, there, window_px=TILT_WINDOW_PX)[there] ** 2
+    return share
+
+
+def _eroded(mask: Mask, side_px: int) -> Mask:
+    """Return the pixels whose window of that side is whole."""
+    return np.asarray(cv2.erode(mask.astype(np.uint8), np.ones((side_px, side_px), np.uint8)) > 0)
 
 
 def _tilt_squared(slope_p: np.ndarray, slope_q: np.ndarray, normal: np.ndarray, length: np.ndarray) -> np.ndarray:

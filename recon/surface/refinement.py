@@ -18,7 +18,7 @@ from recon.surface.height_patch import Patch, Sight, against_own_normals, beyond
 from recon.surface.lateral_places import LateralPlaces, along_surface, frame_along, lateral_places
 from recon.surface.ray_chords import Mask, ScalarMap, VectorMap
 from recon.surface.tiles import Part, inside, tiles
-from recon.surface.window_bias import own_slopes, whole_bias
+from recon.surface.window_bias import own_slopes
 from recon.surface.window_quadratic import fit_windows
 
 # Half-widths of the windows that are tried, each only where the one before it held.
@@ -139,7 +139,7 @@ def _refine_tile(
         beyond = beyond_noise(fit, fit_here)
         held &= beyond <= 1
         trust = np.minimum(trust, np.nan_to_num(np.maximum(beyond, 1.0) ** -2.0))
-        patch, before = patch_of(fit, place, fit_here, before, trust, whole_bias=whole_bias(half_width, smaller))
+        patch, before = patch_of(fit, place, fit_here, before, trust, half_width=half_width, smaller=smaller)
         held &= ~against_own_normals(patch.normal, tilted, normal_sd_rad[wide] * fused.normal_scale)
         _take_over(result, patch, held, core, wide, half_width, place)
 

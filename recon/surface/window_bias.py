@@ -12,6 +12,8 @@ from recon.surface.ray_chords import Mask, ScalarMap, VectorMap
 BIAS_WINDOW_PX = 9
 # From the measured normals it is taken nearer by: beside a crease it is not that of pixels farther away.
 OWN_WINDOW_PX = 5
+# Windows cut at a rim tell of the bias only where no whole one is near.
+CUT_WEIGHT = 1e-3
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -42,7 +44,7 @@ def whole_bias(half_width: int, smaller: int) -> float:
 
 
 def without_bias(
-    now: Slopes, before: Slopes, trust: ScalarMap, *, whole_bias: float
+    now: Slopes, before: Slopes, trust: ScalarMap, whole: Mask, *, whole_bias: float
 ) -> tuple[Float64[np.ndarray, "2 fields rows cols"], Float64[np.ndarray, "2 rows cols"]]:
     """Return the slopes of a window without its bias, and the bias that may be left.
 
@@ -53,12 +55,14 @@ def without_bias(
     """
     # A window with hardly more places than terms says next to nothing, and would spoil those about it.
     weight = trust / (now.variance + before.variance)
+    weight = np.where(whole, weight, CUT_WEIGHT * weight)
     known = before.slope.shape[1]
     change = whole_bias * (now.slope[:, :known] - before.slope)
     if known < now.slope.shape[1]:
         return now.slope, _mean(change, weight, window_px=OWN_WINDOW_PX)[:, 0]
     bias = _mean(change, weight, window_px=BIAS_WINDOW_PX)
-    return now.slope - bias, (bias[:, :1] - _mean(bias[:, :1], weight, window_px=BIAS_WINDOW_PX))[:, 0]
+    left = bias[:, 0] - _mean(bias[:, :1], weight, window_px=BIAS_WINDOW_PX)[:, 0]
+    return np.where(whole, now.slope - bias, now.slope), np.where(whole, left, bias[:, 0])
 
 
 def _mean(
