@@ -23,8 +23,8 @@ DRAW_WINDOW_PX = 9
 DRAW_TOLERANCE = 1e-2  # of a draw, of which twelve tell an sd to a tenth
 DRAW_SEED = 20180601
 
-# So many of them also tell what the lateral places and the surface have in common.
-SLIDE_DRAWS = DRAWS
+# The noise of normals alone, of which all pixels have their own, over so many pixels.
+TURN_WINDOW_PX = 17
 
 SomePixels = Float32[np.ndarray, " pixels"]
 SomeVectors = Float32[np.ndarray, "pixels 3"]
@@ -45,10 +45,10 @@ def drawn_errors(
     weights: tuple[PerPair, PerPixel],
     scales: tuple[float, float],
     threads: int,
-) -> tuple[Float32[np.ndarray, "draws pixels"], Float32[np.ndarray, "slides pixels 3"]]:
+) -> tuple[Float32[np.ndarray, "draws pixels"], Float32[np.ndarray, "draws pixels 3"], PerPixel]:
     """Return what draws of noise do to the distances, through the very equations that were solved.
 
-    Beside that, how far the paths slide in the first of these draws.
+    Beside that, how far the paths slide in these draws, and the mean square of the normals' errors that were drawn.
 
     Parameters
     ----------
@@ -62,7 +62,8 @@ def drawn_errors(
         How many sets of draws are solved at a time.
     """
     rng = np.random.default_rng(DRAW_SEED)
-    slides = np.empty((SLIDE_DRAWS, graph.pixels, 3), np.float32)
+    slides = np.empty((DRAWS, graph.pixels, 3), np.float32)
+    turned_squared = np.zeros(graph.pixels)
     bend = chords.bend
     solved = []
     with ThreadPoolExecutor(threads) as pool:
@@ -70,8 +71,8 @@ def drawn_errors(
             right = np.empty((graph.pixels, COLUMNS), np.float32)
             for column in range(COLUMNS):
                 distance_error, normal_error, slide = noise(rng)
-                if first + column < SLIDE_DRAWS:
-                    slides[first + column] = slide
+                slides[first + column] = slide
+                turned_squared += (normal_error**2).sum(axis=1) * (scales[1] ** 2 / DRAWS)
                 shift = np.where(rays.precision > 0, scales[0] * distance_error, 0.0)
                 turned = np.empty((2, len(graph.first)))
                 _write_right_side(
@@ -81,7 +82,7 @@ def drawn_errors(
                     *(turned, weights[1] * shift, right[:, column]),
                 )
             solved.append(pool.submit(solve, right))
-    return np.concatenate([job.result().T for job in solved]), slides
+    return np.concatenate([job.result().T for job in solved]), slides, turned_squared
 
 
 @compiled

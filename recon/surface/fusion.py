@@ -18,7 +18,7 @@ from scipy.sparse import csr_array
 from recon.surface.error_draws import (
     DRAW_TOLERANCE,
     DRAWS,
-    SLIDE_DRAWS,
+    TURN_WINDOW_PX,
     NoiseAt,
     drawn_errors,
     independent_noise,
@@ -62,13 +62,15 @@ class FusedSurface:
     (0 where there was none); ``outlier`` marks pixels that agree with none about them. ``normal_scale`` and ``position_scale``
     tell how many times larger the residuals are than the standard deviations promised (never below 1). ``distance_error_mm``
     holds draws of the error of ``distance_mm``: what independent draws of all measurements' noise do to it. Their mean square is
-    the variance. ``slide_mm`` tells of the first of these draws how far each path then meets the surface from where it should.
+    the variance. ``slide_mm`` tells how far each path then meets the surface from where it should, ``turn_sd_rad`` how large the
+    errors of normals were that went into them.
     """
 
     distance_mm: ScalarMap
     distance_sd_mm: ScalarMap
     distance_error_mm: Float32[np.ndarray, "draws rows cols"]
-    slide_mm: Float32[np.ndarray, "slides rows cols 3"]
+    slide_mm: Float32[np.ndarray, "draws rows cols 3"]
+    turn_sd_rad: ScalarMap
     point_mm: VectorMap
     position_weight: ScalarMap
     outlier: Mask
@@ -149,10 +151,11 @@ def fuse_on_rays(
         pairs = _cut(_reweighted(chords.residual(graph, distance) / np.sqrt(chords.variance)), sheets)
         positions = _position_weights(rays, distance)
     errors = np.full((DRAWS, *used.shape), np.nan, np.float32)
-    slides = np.zeros((SLIDE_DRAWS, *used.shape, 3), np.float32)
+    slides = np.zeros((DRAWS, *used.shape, 3), np.float32)
+    turn = np.full(used.shape, np.nan)
     if graph.pixels:
         last = _system(graph, rays, chords, pairs, positions)
-        errors[:, used], slides[:, used] = drawn_errors(
+        errors[:, used], slides[:, used], turned_squared = drawn_errors(
             graph,
             rays,
             chords,
@@ -162,6 +165,7 @@ def fuse_on_rays(
             scales=(positions.scale, pairs.scale),
             threads=threads,
         )
+        turn[used] = np.sqrt(turned_squared)
     outlier = np.zeros(used.shape, dtype=bool)
     outlier[used] = sheets.outlier
     point = np.full(origin_mm.shape, np.nan)
@@ -171,6 +175,7 @@ def fuse_on_rays(
         distance_sd_mm=standard_deviation(errors, used),
         distance_error_mm=errors,
         slide_mm=slides,
+        turn_sd_rad=standard_deviation(turn[None], used, window_px=TURN_WINDOW_PX),
         point_mm=point,
         position_weight=graph.on_grid(positions.weight),
         outlier=outlier,

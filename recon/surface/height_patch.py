@@ -10,8 +10,9 @@ from scipy.stats import chi2
 
 from recon.surface.error_draws import standard_deviation
 from recon.surface.lateral_places import LateralPlaces
+from recon.surface.noise_reference import NoiseReference
 from recon.surface.ray_chords import Mask, ScalarMap, VectorMap
-from recon.surface.window_bias import Slopes, whole_bias, without_bias
+from recon.surface.window_bias import Slopes, without_bias
 from recon.surface.window_quadratic import WindowFit
 
 # One in a thousand smooth normals is turned down for its noise.
@@ -20,10 +21,6 @@ REJECTED_SHARE = 1e-3
 REJECTED_WINDOWS = 1e-5
 # Residuals of the fused surface are those of neighbours that share their normals: they count half.
 INDEPENDENT_SHARE = 0.5
-# The tilts of a window nine pixels wide are alike over it, so that more of them are needed for their variance.
-TILT_WINDOW_PX = 33
-# The windows of lateral places and of slopes share their noise as draws tell where both are whole.
-SHARED_WHOLE_PX = 9
 # As many places as leave two more than a quadratic polynomial has terms.
 FEWEST_PLACES = 8
 NEWTON_STEPS = 4
@@ -40,7 +37,7 @@ class Sight:
     sight: Float64[np.ndarray, " 3"]
     across: Float64[np.ndarray, "2 3"]
     variance: Float64[np.ndarray, "2 rows cols"]
-    error: Float64[np.ndarray, "2 slides rows cols"]
+    error: Float64[np.ndarray, "2 draws rows cols"]
     middle_mm: Float64[np.ndarray, " 3"]
     unit_mm: float
     frame: Float64[np.ndarray, "3 3"]
@@ -88,6 +85,7 @@ def patch_of(
     mask: Mask,
     before: Slopes,
     trust: ScalarMap,
+    noise: NoiseReference,
     *,
     half_width: int,
     smaller: int,
@@ -96,7 +94,9 @@ def patch_of(
 
     ``before`` are the slopes of the next smaller window; those of this one are returned for the next larger. ``whole_bias`` times
     their difference, which counts by its ``trust`` (0 to 1), is the bias of this one: a window across a crease says nothing of
-    others.
+    others. The tilt of a window and the turn by its lateral place come from the same paths: a path that is off by noise sees the
+    normal of another place, and looking for the normal at the place that it tells puts much of that right. So ``noise`` is told
+    of draws of both together.
     """
     sight = place.sight
     along = np.zeros(mask.shape)
@@ -115,24 +115,20 @@ def patch_of(
     # How the point and the normal move when the lateral place does.
     moves = [axis - (normal @ axis / facing)[..., None] * sight for axis in place.across]
     twice = fit.coefficients
-    turn_variance, slide_variance = np.zeros(mask.shape), np.zeros(mask.shape)
+    slide_variance = np.zeros(mask.shape)
     turns = np.zeros((2, place.error.shape[1], *mask.shape))
     for move, variance, error in zip(moves, place.variance, place.error, strict=True):
         slide_variance += variance * (move**2).sum(axis=-1)
         bend_p = 2 * twice[3] * move[..., 0] + twice[4] * move[..., 1]
         bend_q = twice[4] * move[..., 0] + 2 * twice[5] * move[..., 1]
-        turn_variance += variance * _tilt_squared(bend_p, bend_q, normal, length)
         turns += np.stack([bend_p * error, bend_q * error])
     slope_p, slope_q, slope_variance = fit.drawn_slopes(point[..., 0], point[..., 1])
     now = Slopes(np.stack([np.r_[slopes[0][None], slope_p], np.r_[slopes[1][None], slope_q]]), slope_variance)
-    whole = _eroded(mask, 2 * half_width + 1)
-    clear, left = without_bias(now, before, trust, whole, whole_bias=whole_bias(half_width, smaller))
-    # A window at a rim is less sure of its slopes than one inside: what is alike is the noise, in units of that.
-    geometry = np.sqrt(slope_variance)
-    tilts = np.sqrt(_tilt_squared(clear[0, 1:], clear[1, 1:], normal, length)) / geometry
-    tilt_sd = geometry * standard_deviation(tilts, mask, window_px=TILT_WINDOW_PX)
-    expected = tilt_sd**2 + turn_variance
-    noise_squared = expected * _put_right(clear[:, 1:] + turns, expected, mask, normal, length)
+    clear, left = without_bias(now, before, trust, noise.depth_px, half_width=half_width, smaller=smaller)
+    noisy = clear[:, 1:] + turns
+    noise_squared = noise.smoothed(
+        _tilt_squared(noisy[0], noisy[1], normal, length).mean(axis=0), slope_variance, mask, half_width=half_width
+    )
     lifted = standard_deviation(fit.drawn_values(point[..., 0], point[..., 1]), mask) / length
     patch = Patch(
         point=point,
@@ -148,34 +144,6 @@ def _unit(p: ScalarMap, q: ScalarMap) -> VectorMap:
     """Return the unit vectors along (p, q, 1)."""
     upward = np.stack([p, q, np.ones_like(p)], axis=-1)
     return upward / np.linalg.norm(upward, axis=-1, keepdims=True)
-
-
-def _put_right(
-    drawn: Float64[np.ndarray, "2 draws rows cols"],
-    expected: ScalarMap,
-    mask: Mask,
-    normal: np.ndarray,
-    length: np.ndarray,
-) -> ScalarMap:
-    """Return the variance of the normals' noise over that of its two parts, if these knew nothing of each other.
-
-    Both parts, the tilt of a window and the turn by its lateral place, come from the same paths. A path that is off by noise sees
-    the normal of another place; looking for the normal at the place that it tells puts much of that right. How much differs
-    between windows that are cut at a rim and whole ones: each is told by those as far from the rim.
-    """
-    squares = _tilt_squared(drawn[0], drawn[1], normal, length).mean(axis=0)
-    ratio = np.sqrt(np.divide(squares, expected, out=np.zeros(mask.shape), where=mask & (expected > 0)))[None]
-    ring = sum(_eroded(mask, side).astype(np.uint8) for side in range(3, SHARED_WHOLE_PX + 1, 2))
-    share = np.ones(mask.shape)
-    for number in range(SHARED_WHOLE_PX // 2 + 1):
-        there = mask & (ring == number)
-        share[there] = standard_deviation(ratio, there, window_px=TILT_WINDOW_PX)[there] ** 2
-    return share
-
-
-def _eroded(mask: Mask, side_px: int) -> Mask:
-    """Return the pixels whose window of that side is whole."""
-    return np.asarray(cv2.erode(mask.astype(np.uint8), np.ones((side_px, side_px), np.uint8)) > 0)
 
 
 def _tilt_squared(slope_p: np.ndarray, slope_q: np.ndarray, normal: np.ndarray, length: np.ndarray) -> np.ndarray:

@@ -29,7 +29,7 @@ class LateralPlaces:
 
     place_mm: Float64[np.ndarray, "2 rows cols"]
     variance: Float64[np.ndarray, "2 rows cols"]
-    error_mm: Float64[np.ndarray, "2 slides rows cols"]
+    error_mm: Float32[np.ndarray, "2 draws rows cols"]
     axes: Float64[np.ndarray, "3 3"]
 
 
@@ -39,7 +39,7 @@ def lateral_places(
     normal: VectorMap,
     path_covariance: Float64[np.ndarray, "rows cols 3 3"],
     used: Mask,
-    slide_mm: Float32[np.ndarray, "slides rows cols 3"],
+    slide_mm: Float32[np.ndarray, "draws rows cols 3"],
     *,
     threads: int = 1,
 ) -> LateralPlaces:
@@ -57,7 +57,7 @@ def lateral_places(
         variance[axis][used] = np.maximum(own, np.median(own) / SUREST**2)
     weight = np.where(used & (variance > 0), 1 / np.where(variance > 0, variance, 1.0), 0.0)
     place, left = np.where(used, measured, np.nan), variance.copy()
-    error = np.moveaxis(slide_mm @ axes[:2].T, -1, 0)
+    error = np.moveaxis(slide_mm @ axes[:2].T.astype(np.float32), -1, 0)
     own_error = error.copy()
 
     def smooth(tile: tuple[Part, Part]) -> None:

@@ -16,6 +16,7 @@ from jaxtyping import Float64, UInt8
 from recon.surface.fusion import FusedSurface
 from recon.surface.height_patch import Patch, Sight, against_own_normals, beyond_noise, patch_of
 from recon.surface.lateral_places import LateralPlaces, along_surface, frame_along, lateral_places
+from recon.surface.noise_reference import NoiseReference, depth_of
 from recon.surface.ray_chords import Mask, ScalarMap, VectorMap
 from recon.surface.tiles import Part, inside, tiles
 from recon.surface.window_bias import own_slopes
@@ -73,8 +74,10 @@ def refine_surface(
         return result
     lateral = lateral_places(fused.point_mm, direction, normal, path_covariance, used, fused.slide_mm, threads=threads)
 
+    depth_px = depth_of(used)
+
     def refine(tile: tuple[Part, Part]) -> None:
-        _refine_tile(result, fused, direction, normal, normal_sd_rad, lateral, used, *tile)
+        _refine_tile(result, fused, direction, normal, normal_sd_rad, lateral, used, depth_px, *tile)
 
     with ThreadPoolExecutor(threads) as pool:
         list(pool.map(refine, tiles(used, border=WIDEST_HALF_WIDTH_PX)))
@@ -112,6 +115,7 @@ def _refine_tile(
     normal_sd_rad: ScalarMap,
     lateral: LateralPlaces,
     used: Mask,
+    depth_px: ScalarMap,
     core: tuple[slice, slice],
     wide: tuple[slice, slice],
 ) -> None:
@@ -131,6 +135,7 @@ def _refine_tile(
     errors = np.where(fit_here, fused.distance_error_mm[(slice(None), *wide)] * lift / unit_mm, 0.0)
     weight = fit_here.astype(np.float64)
     place = Sight.of(lateral, wide, middle_mm=middle, unit_mm=unit_mm, frame=frame)
+    noise = NoiseReference(np.where(fit_here, fused.turn_sd_rad[wide], 1.0), depth_px[wide])
     held, trust = fit_here.copy(), weight
     tilted = normal[wide] @ frame.T
     before = own_slopes(tilted, fit_here)
@@ -139,7 +144,7 @@ def _refine_tile(
         beyond = beyond_noise(fit, fit_here)
         held &= beyond <= 1
         trust = np.minimum(trust, np.nan_to_num(np.maximum(beyond, 1.0) ** -2.0))
-        patch, before = patch_of(fit, place, fit_here, before, trust, half_width=half_width, smaller=smaller)
+        patch, before = patch_of(fit, place, fit_here, before, trust, noise, half_width=half_width, smaller=smaller)
         held &= ~against_own_normals(patch.normal, tilted, normal_sd_rad[wide] * fused.normal_scale)
         _take_over(result, patch, held, core, wide, half_width, place)
 

@@ -44,7 +44,7 @@ def whole_bias(half_width: int, smaller: int) -> float:
 
 
 def without_bias(
-    now: Slopes, before: Slopes, trust: ScalarMap, whole: Mask, *, whole_bias: float
+    now: Slopes, before: Slopes, trust: ScalarMap, depth_px: ScalarMap, *, half_width: int, smaller: int
 ) -> tuple[Float64[np.ndarray, "2 fields rows cols"], Float64[np.ndarray, "2 rows cols"]]:
     """Return the slopes of a window without its bias, and the bias that may be left.
 
@@ -55,14 +55,31 @@ def without_bias(
     """
     # A window with hardly more places than terms says next to nothing, and would spoil those about it.
     weight = trust / (now.variance + before.variance)
-    weight = np.where(whole, weight, CUT_WEIGHT * weight)
     known = before.slope.shape[1]
-    change = whole_bias * (now.slope[:, :known] - before.slope)
+    change = whole_bias(half_width, smaller) * (now.slope[:, :known] - before.slope)
     if known < now.slope.shape[1]:
         return now.slope, _mean(change, weight, window_px=OWN_WINDOW_PX)[:, 0]
-    bias = _mean(change, weight, window_px=BIAS_WINDOW_PX)
-    left = bias[:, 0] - _mean(bias[:, :1], weight, window_px=BIAS_WINDOW_PX)[:, 0]
+    bias = _by_depth(change, weight, depth_px, half_width=half_width)
+    left = bias[:, 0] - _by_depth(bias[:, :1], weight, depth_px, half_width=half_width)[:, 0]
+    whole = depth_px > half_width
     return np.where(whole, now.slope - bias, now.slope), np.where(whole, left, bias[:, 0])
+
+
+def _by_depth(
+    slopes: Float64[np.ndarray, "2 fields rows cols"], weight: ScalarMap, depth_px: ScalarMap, *, half_width: int
+) -> Float64[np.ndarray, "2 fields rows cols"]:
+    """Return the weighted mean over whole windows about each pixel, and near the rim over those alone that are as deep.
+
+    A cut window has that of the outermost whole ones.
+    """
+    first, last = half_width + 1, half_width + BIAS_WINDOW_PX // 2
+    outermost = np.where(depth_px == first, weight, CUT_WEIGHT * weight)
+    result = _mean(slopes, np.where(depth_px > half_width, weight, 0.0), window_px=BIAS_WINDOW_PX)
+    for depth, there in [(first, depth_px <= first), *((k, depth_px == k) for k in range(first + 1, last + 1))]:
+        if there.any():
+            alike = outermost if depth == first else np.where(there, weight, 0.0)
+            result[..., there] = _mean(slopes, alike, window_px=BIAS_WINDOW_PX)[..., there]
+    return result
 
 
 def _mean(
