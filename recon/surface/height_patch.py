@@ -5,7 +5,7 @@ from functools import cache
 
 import cv2
 import numpy as np
-from jaxtyping import Float64
+from jaxtyping import Float32, Float64
 from scipy.stats import chi2
 
 from recon.surface.error_draws import standard_deviation
@@ -37,7 +37,7 @@ class Sight:
     sight: Float64[np.ndarray, " 3"]
     across: Float64[np.ndarray, "2 3"]
     variance: Float64[np.ndarray, "2 rows cols"]
-    error: Float64[np.ndarray, "2 draws rows cols"]
+    error: Float32[np.ndarray, "2 draws rows cols"]
     middle_mm: Float64[np.ndarray, " 3"]
     unit_mm: float
     frame: Float64[np.ndarray, "3 3"]
@@ -61,7 +61,7 @@ class Sight:
             sight=frame @ lateral.axes[2],
             across=lateral.axes[:2] @ frame.T,
             variance=lateral.variance[(slice(None), *wide)] / unit_mm**2,
-            error=lateral.error_mm[(slice(None), slice(None), *wide)] / unit_mm,
+            error=lateral.error_mm[(slice(None), slice(None), *wide)] / np.float32(unit_mm),
             middle_mm=middle_mm,
             unit_mm=unit_mm,
             frame=frame,
@@ -124,7 +124,7 @@ def patch_of(
         turns += np.stack([bend_p * error, bend_q * error])
     slope_p, slope_q, slope_variance = fit.drawn_slopes(point[..., 0], point[..., 1])
     now = Slopes(np.stack([np.r_[slopes[0][None], slope_p], np.r_[slopes[1][None], slope_q]]), slope_variance)
-    clear, left = without_bias(now, before, trust, noise.depth_px, half_width=half_width, smaller=smaller)
+    clear, left = without_bias(now, before, trust, noise.depth_px, noise.within, half_width=half_width, smaller=smaller)
     noisy = clear[:, 1:] + turns
     noise_squared = noise.smoothed(
         _tilt_squared(noisy[0], noisy[1], normal, length).mean(axis=0), slope_variance, mask, half_width=half_width

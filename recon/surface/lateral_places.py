@@ -71,7 +71,7 @@ def lateral_places(
             centred = np.where(here > 0, values - np.average(values, weights=here), 0.0)
             middle = values - centred
             held = here > 0
-            noise = own_error[(axis, slice(None), *wide)]
+            noise = own_error[(axis, slice(None), *wide)].astype(np.float64)
             fits = fit_windows(columns, rows, centred, noise, here, half_widths=HALF_WIDTHS_PX)
             for half_width, fit in zip(HALF_WIDTHS_PX, fits, strict=True):
                 freedom = fit.count - 6

@@ -16,11 +16,13 @@ class NoiseReference:
     """What the noise of windows is compared with: the errors of normals that went into the draws, by the depth of a pixel.
 
     An sd from a dozen draws near a pixel errs by several per cent, and pixels that seem the surest are those where it errs low.
-    The share of the noise that a window leaves is the same wherever windows are alike, and needs no place of its own.
+    The share of the noise that a window leaves is the same wherever windows are alike, and needs no place of its own. Only pixels
+    ``within`` the tile tell of it: the windows of those in its border are cut by the tile.
     """
 
     turn_sd_rad: ScalarMap
     depth_px: ScalarMap
+    within: Mask
 
     def smoothed(self, squares: ScalarMap, slope_variance: ScalarMap, mask: Mask, *, half_width: int) -> ScalarMap:
         """Return the variance of windows' normals from the mean squares of draws.
@@ -28,15 +30,14 @@ class NoiseReference:
         ``slope_variance`` is that for heights of variance one: a window with few places, or all on a line, says less than others.
         Where it is less than typical, that is not so of the noise, which neighbours share.
         """
-        whole = mask & (self.depth_px > half_width)
-        typical = float(np.median(slope_variance[whole if whole.any() else mask]))
+        told = mask & self.within
+        whole = told & (self.depth_px > half_width)
+        typical = float(np.median(slope_variance[whole if whole.any() else told]))
         reference = self.turn_sd_rad**2 * np.maximum(slope_variance / typical, 1.0)
-        depth = np.searchsorted(DEPTHS_PX, self.depth_px[mask])
-        count = np.bincount(depth, minlength=len(DEPTHS_PX) + 1)
-        total = np.bincount(depth, squares[mask] / reference[mask], minlength=len(DEPTHS_PX) + 1)
-        result = np.full(mask.shape, np.nan)
-        result[mask] = reference[mask] * (total / np.maximum(count, 1))[depth]
-        return result
+        depth = np.searchsorted(DEPTHS_PX, self.depth_px)
+        count = np.bincount(depth[told], minlength=len(DEPTHS_PX) + 1)
+        total = np.bincount(depth[told], squares[told] / reference[told], minlength=len(DEPTHS_PX) + 1)
+        return np.where(told, reference * (total / np.maximum(count, 1))[depth], np.nan)
 
 
 def depth_of(mask: Mask) -> ScalarMap:

@@ -135,7 +135,9 @@ def _refine_tile(
     errors = np.where(fit_here, fused.distance_error_mm[(slice(None), *wide)] * lift / unit_mm, 0.0)
     weight = fit_here.astype(np.float64)
     place = Sight.of(lateral, wide, middle_mm=middle, unit_mm=unit_mm, frame=frame)
-    noise = NoiseReference(np.where(fit_here, fused.turn_sd_rad[wide], 1.0), depth_px[wide])
+    within = np.zeros(fit_here.shape, dtype=bool)
+    within[inside(core, wide)] = True
+    noise = NoiseReference(np.where(fit_here, fused.turn_sd_rad[wide], 1.0), depth_px[wide], within)
     held, trust = fit_here.copy(), weight
     tilted = normal[wide] @ frame.T
     before = own_slopes(tilted, fit_here)

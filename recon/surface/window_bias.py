@@ -12,7 +12,7 @@ from recon.surface.ray_chords import Mask, ScalarMap, VectorMap
 BIAS_WINDOW_PX = 9
 # From the measured normals it is taken nearer by: beside a crease it is not that of pixels farther away.
 OWN_WINDOW_PX = 5
-# Windows cut at a rim tell of the bias only where no whole one is near.
+# Windows cut at a rim, or by the tile, tell of the bias only where no whole one is near.
 CUT_WEIGHT = 1e-3
 
 
@@ -44,7 +44,7 @@ def whole_bias(half_width: int, smaller: int) -> float:
 
 
 def without_bias(
-    now: Slopes, before: Slopes, trust: ScalarMap, depth_px: ScalarMap, *, half_width: int, smaller: int
+    now: Slopes, before: Slopes, trust: ScalarMap, depth_px: ScalarMap, within: Mask, *, half_width: int, smaller: int
 ) -> tuple[Float64[np.ndarray, "2 fields rows cols"], Float64[np.ndarray, "2 rows cols"]]:
     """Return the slopes of a window without its bias, and the bias that may be left.
 
@@ -52,6 +52,10 @@ def without_bias(
     (``before``), which counts by its ``trust``. What the smaller one does to draws is known, so that they lose the same. From
     measured normals it is not: then nothing is taken off, and all of it is left. Otherwise, left is what that mean itself smooths
     away. Of what is left, noise is not taken off: a bias as large could hide in it.
+
+    Within a window's reach of the rim the bias changes from pixel to pixel, so that those as deep (``depth_px``) tell each other.
+    The law holds for whole windows only. What it says of a cut one is as large, but may have the other sign: all of it is left.
+    Pixels that are not ``within`` the tile hardly tell: the tile cuts their windows.
     """
     # A window with hardly more places than terms says next to nothing, and would spoil those about it.
     weight = trust / (now.variance + before.variance)
@@ -59,6 +63,7 @@ def without_bias(
     change = whole_bias(half_width, smaller) * (now.slope[:, :known] - before.slope)
     if known < now.slope.shape[1]:
         return now.slope, _mean(change, weight, window_px=OWN_WINDOW_PX)[:, 0]
+    weight = np.where(within, weight, CUT_WEIGHT * weight)
     bias = _by_depth(change, weight, depth_px, half_width=half_width)
     left = bias[:, 0] - _by_depth(bias[:, :1], weight, depth_px, half_width=half_width)[:, 0]
     whole = depth_px > half_width

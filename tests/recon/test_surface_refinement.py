@@ -6,8 +6,9 @@ from ray_field import crossed, exact_places, noisy_sweeps, scene_manifest
 
 from recon.evaluation.spread import angle_between_rad
 from recon.maps import Maps, Support
+from recon.surface.noise_reference import NoiseReference, depth_of
 from recon.surface.surface_stage import surface_of
-from recon.surface.window_bias import Slopes, whole_bias, without_bias
+from recon.surface.window_bias import Slopes, without_bias
 from recon.surface.window_quadratic import fit_windows
 from sim_backend.scene import load_scene
 from sim_backend.truth import Truth, compute_truth
@@ -77,14 +78,39 @@ def test_slopes_of_a_surface_that_bends_ever_more_lose_the_bias_of_their_window_
         for fit in fits
     )
     true = 3e-3 * p**2
-    clear, left = without_bias(large, small, trust, whole_bias=whole_bias(4, 2))
+    depth_px, within = np.full(p.shape, 99.0), trust > 0
+    clear, left = without_bias(large, small, trust, depth_px, within, half_width=4, smaller=2)
     assert large.slope[0, 0, 20, 20] - true[20, 20] == pytest.approx(1e-3 * 11.8, rel=1e-9)
     assert clear[0, 0, 20, 20] == pytest.approx(true[20, 20], abs=1e-12)
     assert left[0, 20, 20] == pytest.approx(0, abs=1e-12)
     measured = Slopes(np.stack([true, 0 * p])[:, None], 0 * p)
-    kept, left = without_bias(large, measured, trust, whole_bias=whole_bias(4, 0))
+    kept, left = without_bias(large, measured, trust, depth_px, within, half_width=4, smaller=0)
     assert kept is large.slope
     assert left[0, 20, 20] == pytest.approx(1e-3 * 11.8, rel=1e-9)
+
+
+def test_a_window_cut_at_the_rim_keeps_its_slopes_and_is_told_the_bias_of_the_outermost_whole_ones() -> None:
+    small, large = (Slopes(np.full((2, 1, 20, 20), slope), np.ones((20, 20))) for slope in (0.0, 0.1))
+    mask = np.ones((20, 20), dtype=bool)
+    depth_px = depth_of(np.pad(mask, 1))[1:-1, 1:-1]
+    cut = depth_px <= 4
+    # Six pixels in, the windows differ by twice as much; that is none of the cut ones' business.
+    large.slope[..., depth_px > 5] *= 2
+    clear, left = without_bias(large, small, np.ones((20, 20)), depth_px, mask, half_width=4, smaller=2)
+    assert np.allclose(clear[..., cut], 0.1)
+    assert np.allclose(left[:, cut], 0.1 * 11.8 / (11.8 - 3.4), rtol=0.1)
+
+
+def test_few_draws_tell_the_noise_of_windows_to_a_per_cent_where_it_is_a_share_of_what_went_in() -> None:
+    rng = np.random.default_rng(0)
+    mask = np.ones((72, 72), dtype=bool)
+    turn_sd_rad = np.linspace(1e-3, 3e-3, 72) * np.ones((72, 1))
+    true = 0.04 * turn_sd_rad**2
+    squares = true * rng.chisquare(12, mask.shape) / 12
+    depth_px = np.full(mask.shape, 99.0)
+    told = NoiseReference(turn_sd_rad, depth_px, mask).smoothed(squares, np.ones(mask.shape), mask, half_width=4)
+    # 72² pixels of 12 draws: √(2 / 12) / 72 = 0.6 %.
+    assert np.allclose(told, true, rtol=3 * 0.006)
 
 
 def test_refined_normals_and_points_are_far_better_than_measured_ones(hemisphere: tuple[Maps, Maps, Truth]) -> None:
