@@ -110,13 +110,10 @@ def _in_level_regions(
     pixels: np.ndarray,
     shape: tuple[int, int],
 ) -> Bool[np.ndarray, " pixels"]:
-    """Tell which pixels lie in regions of ``found`` larger than a neighbourhood, whose heights scatter about the level.
-
-    A region goes on across a line of single pixels that show something else, or nothing.
-    """
+    """Tell which pixels lie in regions of ``found`` larger than a neighbourhood, whose heights scatter about the level."""
     grid = np.zeros(shape, dtype=bool)
     grid.ravel()[pixels[found]] = True
-    regions, count = label(maximum_filter(grid, 3))
+    regions, count = label(grid)
     of_pixel = regions.ravel()[pixels]
     about = np.bincount(of_pixel[found], minlength=count + 1) > NEIGHBOURHOOD_PX**2
     about[0] = False
