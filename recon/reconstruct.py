@@ -206,7 +206,7 @@ def _direction_sd(air: LightPaths, manifest: Manifest, *, method: Method) -> Flo
     """Return how well each air path's direction is known; for the paper's method, from its usual scatter."""
     if method == "paper":
         return np.sqrt(2) * PARABOLA_SD_PX * manifest.display.pitch_mm / air.baseline_mm
-    return np.sqrt(np.trace(air.direction_covariance(), axis1=1, axis2=2))
+    return np.sqrt(air.direction_variance())
 
 
 def _tests(points: EntryPoints, manifest: Manifest, *, method: Method, limits: Limits) -> UInt8[np.ndarray, " pixels"]:

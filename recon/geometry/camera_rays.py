@@ -25,7 +25,6 @@ def camera_rays(
     nothing = ScreenNoise(np.zeros((len(ray), 2)), np.eye(3)[:, :2])
     return LightPaths(
         near_mm=centre_mm + near[:, None] * ray,
-        far_mm=centre_mm + far[:, None] * ray,
         direction=-ray,
         baseline_mm=far - near,
         near_noise=nothing,

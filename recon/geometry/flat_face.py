@@ -61,7 +61,6 @@ def paths_inside(visual: LightPaths, face: FlatFace, *, n_object: float, n_air: 
     near = on_face - reach * inside
     return LightPaths(
         near_mm=near,
-        far_mm=near - visual.baseline_mm[:, None] * inside,
         direction=inside,
         baseline_mm=visual.baseline_mm,
         near_noise=visual.near_noise,

@@ -43,18 +43,22 @@ class ScreenNoise:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class LightPaths:
-    """One line a pixel, through ``near_mm`` and ``far_mm`` (the display nearer to, and farther from, the camera).
+    """One line a pixel, from the display farther from the camera to ``near_mm`` on the nearer one, ``baseline_mm`` long.
 
-    ``direction`` is the unit vector from far to near: towards the object. ``near_noise`` and ``far_noise`` are those of the two
+    ``direction`` is the unit vector that way: towards the object. ``near_noise`` and ``far_noise`` are those of the two
     display points.
     """
 
     near_mm: Float64[np.ndarray, "pixels 3"]
-    far_mm: Float64[np.ndarray, "pixels 3"]
     direction: Float64[np.ndarray, "pixels 3"]
     baseline_mm: Float64[np.ndarray, " pixels"]
     near_noise: ScreenNoise
     far_noise: ScreenNoise
+
+    @property
+    def far_mm(self) -> Float64[np.ndarray, "pixels 3"]:
+        """The points on the display farther from the camera."""
+        return self.near_mm - self.baseline_mm[:, None] * self.direction
 
     @property
     def near_covariance(self) -> Float64[np.ndarray, "pixels 3 3"]:
@@ -92,6 +96,13 @@ class LightPaths:
         near, far = self.near_noise.variance_along(direction), self.far_noise.variance_along(direction)
         return (near + far) / self.baseline_mm**2
 
+    def direction_variance(self) -> Float64[np.ndarray, " pixels"]:
+        """Return the summed variances of the unit direction: the trace of its covariance."""
+        near, far = self.near_noise.variance_along(self.direction), self.far_noise.variance_along(self.direction)
+        # The display's axes are unit vectors, so that a covariance's trace is the sum of both variances.
+        whole = (self.near_noise.sd_mm**2).sum(axis=1) + (self.far_noise.sd_mm**2).sum(axis=1)
+        return (whole - near - far) / self.baseline_mm**2
+
     def direction_covariance(self) -> Float64[np.ndarray, "pixels 3 3"]:
         """Return the covariance of the unit direction; a shift of a display point along the line turns nothing."""
         shift = (self.near_covariance + self.far_covariance) / self.baseline_mm[:, None, None] ** 2
@@ -120,7 +131,6 @@ def light_paths(
     baseline = np.linalg.norm(span, axis=1)
     return LightPaths(
         near_mm=near,
-        far_mm=far,
         direction=span / baseline[:, None],
         baseline_mm=baseline,
         near_noise=ScreenNoise(sd_mm[order[0]], transforms[order[0]][:3, :2]),

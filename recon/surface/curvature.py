@@ -5,7 +5,7 @@ normal is another one, and the surface lies below the tangent plane: both by the
 """
 
 import numpy as np
-from jaxtyping import Float64
+from jaxtyping import Float32
 
 from recon.compiled import compiled
 from recon.surface.ray_chords import Mask, VectorMap
@@ -16,12 +16,13 @@ LINE = 1e-3
 # Sums over a window: the count, three of places, three of normals, nine of places by places, nine of normals by places.
 SUMS = 25
 TINY = np.finfo(float).tiny
-Tensors = Float64[np.ndarray, "rows cols 3 3"]
+# Single precision is far finer than what a window tells.
+Tensors = Float32[np.ndarray, "rows cols 3 3"]
 
 
 def curvature_of(point_mm: VectorMap, normal: VectorMap, used: Mask) -> Tensors:
     """Return K in 1/mm, tangential, so that a step d along the surface turns the normal by K d; 0 outside the mask."""
-    result, size = np.zeros((*used.shape, 3, 3)), np.zeros(used.shape)
+    result, size = np.zeros((*used.shape, 3, 3), np.float32), np.zeros(used.shape)
     if used.any():
         mean_point = point_mm[used].mean(axis=0)
         point_mm, normal = np.ascontiguousarray(point_mm), np.ascontiguousarray(normal)

@@ -45,7 +45,7 @@ def drawn_errors(
     weights: tuple[PerPair, PerPixel],
     scales: tuple[float, float],
     threads: int,
-) -> tuple[Float32[np.ndarray, "draws pixels"], Float32[np.ndarray, "draws pixels 3"], PerPixel]:
+) -> tuple[Float32[np.ndarray, "draws rows cols"], Float32[np.ndarray, "draws rows cols 3"], PerPixel]:
     """Return what draws of noise do to the distances, through the very equations that were solved.
 
     Beside that, how far the paths slide in these draws, and the mean square of the normals' errors that were drawn.
@@ -59,19 +59,20 @@ def drawn_errors(
     scales
         By how much the noise of distances, and of normals, is larger than was said.
     threads
-        How many sets of draws are solved at a time.
+        With more than one, a set of draws is solved while the next is drawn.
     """
     rng = np.random.default_rng(DRAW_SEED)
-    slides = np.empty((DRAWS, graph.pixels, 3), np.float32)
+    slides = np.zeros((DRAWS, *graph.mask.shape, 3), np.float32)
     turned_squared = np.zeros(graph.pixels)
     bend = chords.bend
     solved = []
-    with ThreadPoolExecutor(threads) as pool:
+    # One set is solved while the next is drawn.
+    with ThreadPoolExecutor(1) as pool:
         for first in range(0, DRAWS, COLUMNS):
             right = np.empty((graph.pixels, COLUMNS), np.float32)
             for column in range(COLUMNS):
                 distance_error, normal_error, slide = noise(rng)
-                slides[first + column] = slide
+                slides[first + column][graph.mask] = slide
                 turned_squared += (normal_error**2).sum(axis=1) * (scales[1] ** 2 / DRAWS)
                 shift = np.where(rays.precision > 0, scales[0] * distance_error, 0.0)
                 turned = np.empty((2, len(graph.first)))
@@ -82,7 +83,12 @@ def drawn_errors(
                     *(turned, weights[1] * shift, right[:, column]),
                 )
             solved.append(pool.submit(solve, right))
-    return np.concatenate([job.result().T for job in solved]), slides, turned_squared
+            if threads == 1:
+                solved[-1].result()
+    errors = np.full((DRAWS, *graph.mask.shape), np.nan, np.float32)
+    for number, found in enumerate(column for job in solved for column in job.result().T):
+        errors[number][graph.mask] = found
+    return errors, slides, turned_squared
 
 
 @compiled

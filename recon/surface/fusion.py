@@ -15,6 +15,7 @@ from jaxtyping import Float32
 from scipy.ndimage import distance_transform_edt, median_filter
 from scipy.sparse import csr_array
 
+from recon.memory import give_back_free_memory
 from recon.surface.error_draws import (
     DRAW_TOLERANCE,
     DRAWS,
@@ -121,7 +122,7 @@ def fuse_on_rays(
     rounds
         How often the equations are weighted anew (iteratively reweighted least squares).
     threads
-        How many sets of draws of the noise are solved at a time; the result is the same.
+        With more than one, some draws of the noise are solved while others are drawn; the result is the same.
 
     Returns
     -------
@@ -150,12 +151,13 @@ def fuse_on_rays(
         chords = chords_of(rays, graph, beyond, distance)
         pairs = _cut(_reweighted(chords.residual(graph, distance) / np.sqrt(chords.variance)), sheets)
         positions = _position_weights(rays, distance)
+        give_back_free_memory()
     errors = np.full((DRAWS, *used.shape), np.nan, np.float32)
     slides = np.zeros((DRAWS, *used.shape, 3), np.float32)
     turn = np.full(used.shape, np.nan)
     if graph.pixels:
         last = _system(graph, rays, chords, pairs, positions)
-        errors[:, used], slides[:, used], turned_squared = drawn_errors(
+        errors, slides, turned_squared = drawn_errors(
             graph,
             rays,
             chords,

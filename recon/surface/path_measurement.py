@@ -3,17 +3,19 @@
 from dataclasses import dataclass
 
 import numpy as np
-from jaxtyping import Bool, Float64, Int
+from jaxtyping import Bool, Float32, Float64, Int
 
+from recon.geometry.light_paths import LightPaths
 from recon.reconstruct import Crossing, Limits
 from recon.surface.curvature import curvature_of
 from recon.surface.error_draws import NoiseDraw, SomePixels, SomeVectors
-from recon.surface.lateral_places import along_surface
 from recon.surface.path_crossing import PathCrossing
 from recon.surface.path_noise import PathNoise
 from recon.surface.ray_chords import Mask, ScalarMap, VectorMap
 
 PerPath = Float64[np.ndarray, " pixels"]
+# A path that runs along the surface would slide without end.
+LEAST_FACING = 1e-3
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -52,7 +54,7 @@ class PathMeasurement:
             pixels=pixels,
             surface_pixel=surface_pixel,
             readable=surface_pixel & reading.readable(angle_sigma=Limits().angle_sigma),
-            facing=np.maximum(-(liquid.direction * normal).sum(axis=1), 1e-3),
+            facing=np.maximum(-(liquid.direction * normal).sum(axis=1), LEAST_FACING),
             normal_map=_spread(normal, surface_pixel, pixels, shape),
             shape=shape,
         )
@@ -69,8 +71,7 @@ class PathMeasurement:
         """
         along, liquid = distance_mm.ravel()[self.pixels], self.paths.liquid
         told_mm, sd_mm = self.crossing.measured_near(along)
-        slide = along_surface(liquid.covariance_at(along), liquid.direction, self.paths.normal)
-        below_mm = 0.5 * np.einsum("pij,pij->p", self._curvature(along), slide) / self.facing
+        below_mm = 0.5 * _bent(liquid, along, self.paths.normal, self._curvature(along)) / self.facing
         return self.on_grid(told_mm + below_mm, self.readable), self.on_grid(np.hypot(sd_mm, below_mm), self.readable)
 
     def noise_at(self, distance_mm: ScalarMap, used: Mask) -> NoiseDraw:
@@ -95,7 +96,7 @@ class PathMeasurement:
 
         return draw
 
-    def _curvature(self, along_mm: PerPath) -> Float64[np.ndarray, "pixels 3 3"]:
+    def _curvature(self, along_mm: PerPath) -> Float32[np.ndarray, "pixels 3 3"]:
         point_mm = self.on_grid(self.paths.liquid.point_at(along_mm), self.surface_pixel)
         used = np.isfinite(point_mm).all(axis=2) & np.isfinite(self.normal_map).all(axis=2)
         return curvature_of(point_mm, self.normal_map, used).reshape(-1, 3, 3)[self.pixels]
@@ -107,3 +108,24 @@ def _spread(
     grid = np.full((shape[0] * shape[1], *values.shape[1:]), np.nan)
     grid[pixels[where]] = values[where]
     return grid.reshape(*shape, *values.shape[1:])
+
+
+def _bent(
+    liquid: LightPaths,
+    along_mm: PerPath,
+    normal: Float64[np.ndarray, "pixels 3"],
+    curvature: Float32[np.ndarray, "pixels 3 3"],
+) -> PerPath:
+    """Return how much the surface bends over the square of each path's slide along it, on the mean.
+
+    A shift d of a path moves where it meets the surface by d − V (n·d)/(n·V).
+    """
+    result = np.zeros(len(along_mm))
+    facing = (liquid.direction * normal).sum(axis=1)
+    facing = np.where(np.abs(facing) > LEAST_FACING, facing, LEAST_FACING)
+    lever = along_mm / liquid.baseline_mm
+    for noise, weight in ((liquid.near_noise, 1 + lever), (liquid.far_noise, lever)):
+        for axis, sd_mm in zip(noise.axes.T, noise.sd_mm.T, strict=True):
+            slide = axis - liquid.direction * ((normal @ axis) / facing)[:, None]
+            result += (weight * sd_mm) ** 2 * np.einsum("pi,pij,pj->p", slide, curvature, slide)
+    return result

@@ -32,7 +32,7 @@ class PathNoise:
         along_air_mm: PerPath,
         mean_cross: Vectors,
         facing: PerPath,
-        curvature: Float64[np.ndarray, "pixels 3 3"],
+        curvature: Float32[np.ndarray, "pixels 3 3"],
     ) -> tuple[Float32[np.ndarray, " some"], SmallVectors, SmallVectors]:
         """Draw errors of the distance along the liquid path and of the normal, and how far that path slides along the surface.
 

@@ -54,7 +54,7 @@ def paths_of(pixels: np.ndarray, *, aside_mm: float = 0.0) -> OwnPaths:
     near = np.stack([X.ravel()[number] + aside_mm, Y.ravel()[number], np.zeros(len(number))], axis=1)
     along = np.tile([0.0, 0.0, 1.0], (len(number), 1))
     noise = ScreenNoise(np.full((len(number), 2), 1e-3), np.eye(3)[:, :2])
-    path = LightPaths(near, near - 40 * along, along, np.full(len(number), 40.0), noise, noise)
+    path = LightPaths(near, along, np.full(len(number), 40.0), noise, noise)
     none = path.some(slice(0, 0))
     return OwnPaths({"liquid": number, "air": number[:0]}, {"liquid": path, "air": none})
 

@@ -102,7 +102,7 @@ def directed(direction: np.ndarray, sd_rad: np.ndarray) -> LightPaths:
     """Return paths with these unit directions, known to ``sd_rad`` along x and y."""
     nowhere, baseline = np.zeros_like(direction), np.full(len(direction), 10.0)
     noise = ScreenNoise(sd_rad * 10.0 / np.sqrt(2.0), np.eye(3)[:, :2])
-    return LightPaths(nowhere, nowhere, direction, baseline, noise, noise)
+    return LightPaths(nowhere, direction, baseline, noise, noise)
 
 
 def at_level(n_liquid: float, place: np.ndarray, lean: np.ndarray) -> tuple[np.ndarray, np.ndarray]:

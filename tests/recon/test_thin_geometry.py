@@ -104,7 +104,7 @@ def test_inner_ray_crosses_the_path_outside_in_the_surface_point() -> None:
 
     def paths(far: np.ndarray, towards: np.ndarray) -> LightPaths:
         noise = ScreenNoise(np.ones((len(far), 2)), np.eye(3)[:, :2])
-        return LightPaths(far + 10 * towards, far, towards, np.full(len(far), 10.0), noise, noise)
+        return LightPaths(far + 10 * towards, towards, np.full(len(far), 10.0), noise, noise)
 
     crossed = entry_points(paths(start, direction), paths(surface + 20 * outside, -outside), weighted=False)
     assert np.abs(crossed.point_mm - surface).max() < 1e-9
