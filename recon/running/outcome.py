@@ -105,6 +105,7 @@ def reconstruct_taking(
     sweeps.clear()
     give_back_free_memory()
     found = _reconstruct(session, part, settings, known=known)
+    give_back_free_memory()
     return replace(found, maps=_with_path_count(part.on_photo(found.maps), paths))
 
 

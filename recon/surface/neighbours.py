@@ -7,6 +7,8 @@ from jaxtyping import Bool, Float64, Int32
 from scipy.sparse import coo_array, csr_array
 from scipy.sparse.csgraph import connected_components
 
+from recon.compiled import compiled
+
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Neighbours:
@@ -68,12 +70,56 @@ def normal_equations(
     own: Float64[np.ndarray, " pixels"],
 ) -> csr_array:
     """Return the symmetric matrix of Σ weight (at_first x_first + at_second x_second)² + Σ own x²."""
-    first, second, count = neighbours.first, neighbours.second, neighbours.pixels
-    diagonal = own + np.bincount(first, weight * at_first**2, minlength=count)
-    diagonal += np.bincount(second, weight * at_second**2, minlength=count)
-    coupling = weight * at_first * at_second
-    index = np.arange(count, dtype=np.int32)
-    rows = np.concatenate([index, first, second])
-    columns = np.concatenate([index, second, first])
-    values = np.concatenate([diagonal, coupling, coupling])
-    return coo_array((values, (rows, columns)), shape=(count, count)).tocsr()
+    count = neighbours.pixels
+    starts = np.zeros(count + 1, np.int32)
+    _count_entries(neighbours.first, neighbours.second, starts)
+    columns, values = np.empty(starts[-1], np.int32), np.empty(starts[-1])
+    _write_equations(neighbours.first, neighbours.second, at_first, at_second, weight, own, starts, columns, values)
+    return csr_array((values, columns, starts), shape=(count, count))
+
+
+@compiled
+def _count_entries(first: np.ndarray, second: np.ndarray, starts: np.ndarray) -> None:
+    """Write where each row of the matrix starts: it has an entry of its own, and one for each neighbour."""
+    for pixel in range(1, len(starts)):
+        starts[pixel] = 1
+    for pair in range(len(first)):
+        starts[first[pair] + 1] += 1
+        starts[second[pair] + 1] += 1
+    for pixel in range(1, len(starts)):
+        starts[pixel] += starts[pixel - 1]
+
+
+@compiled
+def _write_equations(
+    first: np.ndarray,
+    second: np.ndarray,
+    at_first: np.ndarray,
+    at_second: np.ndarray,
+    weight: np.ndarray,
+    own: np.ndarray,
+    starts: np.ndarray,
+    columns: np.ndarray,
+    values: np.ndarray,
+) -> None:
+    """Write the rows of the matrix, each with its columns ascending."""
+    end = starts[:-1].copy()
+    for pixel in range(len(end)):
+        columns[end[pixel]], values[end[pixel]] = pixel, own[pixel]
+        end[pixel] += 1
+    for pair in range(len(first)):
+        one, other = first[pair], second[pair]
+        values[starts[one]] += weight[pair] * at_first[pair] ** 2
+        values[starts[other]] += weight[pair] * at_second[pair] ** 2
+        coupling = weight[pair] * at_first[pair] * at_second[pair]
+        columns[end[one]], values[end[one]] = other, coupling
+        columns[end[other]], values[end[other]] = one, coupling
+        end[one] += 1
+        end[other] += 1
+    for pixel in range(len(end)):
+        for place in range(starts[pixel] + 1, end[pixel]):
+            column, value = columns[place], values[place]
+            while place > starts[pixel] and columns[place - 1] > column:
+                columns[place], values[place] = columns[place - 1], values[place - 1]
+                place -= 1
+            columns[place], values[place] = column, value

@@ -6,6 +6,7 @@ import numpy as np
 
 from recon.geometry.sight import sight_rays
 from recon.maps import Maps, Support
+from recon.memory import give_back_free_memory
 from recon.photo_window import PhotoWindow
 from recon.reconstruct import Crossing
 from recon.sessions.manifest import CameraBody, Manifest
@@ -178,6 +179,7 @@ def _fused(crossing: Crossing, shape: tuple[int, int], *, n_liquid: float, n_air
         noise=paths.noise_at,
         threads=threads,
     )
+    give_back_free_memory()
     distance = np.nan_to_num(fused.distance_mm.ravel()[crossing.pixels])
     refined = refine_surface(
         fused,
