@@ -152,8 +152,6 @@ def fuse_on_rays(
         pairs = _cut(_reweighted(chords.residual(graph, distance) / np.sqrt(chords.variance)), sheets)
         positions = _position_weights(rays, distance)
         give_back_free_memory()
-    errors = np.full((DRAWS, *used.shape), np.nan, np.float32)
-    slides = np.zeros((DRAWS, *used.shape, 3), np.float32)
     turn = np.full(used.shape, np.nan)
     if graph.pixels:
         last = _system(graph, rays, chords, pairs, positions)
@@ -168,6 +166,11 @@ def fuse_on_rays(
             threads=threads,
         )
         turn[used] = np.sqrt(turned_squared)
+    else:
+        errors, slides = (
+            np.full((DRAWS, *used.shape), np.nan, np.float32),
+            np.zeros((DRAWS, *used.shape, 3), np.float32),
+        )
     outlier = np.zeros(used.shape, dtype=bool)
     outlier[used] = sheets.outlier
     point = np.full(origin_mm.shape, np.nan)
