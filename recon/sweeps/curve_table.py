@@ -67,9 +67,9 @@ class CurveTable:
     def fill_about(self, shape: Int64[np.ndarray, " pixels"], log_width: Float64[np.ndarray, " pixels"]) -> None:
         """Compute the curves of these shapes whose widths are next to these, to either side."""
         below = ((log_width - self.log_width[0]) / NODE_SPACING).astype(np.int64)
-        node = np.clip(below, 0, len(self.log_width) - 2)
+        nodes = len(self.log_width)
         wanted = np.zeros_like(self.filled)
-        wanted[shape, node] = True
+        wanted.ravel()[shape * nodes + np.clip(below, 0, nodes - 2)] = True
         wanted[:, 1:] |= wanted[:, :-1]
         self.fill(wanted)
 

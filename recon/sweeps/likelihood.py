@@ -164,6 +164,8 @@ def _widen_by_misfit(
     least_limit = np.float32(chdtri(most, OWN_MISFIT_CHANCE) / most)
     margin = SCALE_WINDOW_PX // 2
     for low in range(0, len(good), BAND_ROWS):
+        if not good[low : low + BAND_ROWS].any():
+            continue
         above = max(low - margin, 0)
         band = slice(above, low + BAND_ROWS + margin)
         ratio, inside = misfit[band], good[band].astype(np.float32)

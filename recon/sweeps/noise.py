@@ -158,7 +158,10 @@ def _lone_pairs(
     """Return mean height and half the squared difference of each pair of such neighbours in a band of rows."""
     middle, columns = windows.half_width, black.shape[1]
     part = slice(band.start * columns, band.stop * columns)
-    samples, index = windows.samples[part], windows.peak_index[part]
+    index = windows.peak_index[part]
+    if not (index >= 0).any():
+        return np.empty(0), np.empty(0)
+    samples = windows.samples[part]
     dark = black[band].ravel().astype(np.float32)
     peak = samples[:, middle].astype(np.float32) - dark
     beside = np.maximum(samples[:, middle - 1], samples[:, middle + 1]).astype(np.float32) - dark

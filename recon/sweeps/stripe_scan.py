@@ -112,8 +112,10 @@ def place_spreads(
     reach = int(np.ceil(FINE_REACH_PX * unit / templates.spacing_px - 1e-9))
     first = np.empty(pixels, dtype=np.int64)
     for pixel in range(pixels):
+        # No start lies beyond the window; what is no number does not either, for no index is checked.
+        about = about_px[pixel] if abs(about_px[pixel]) < templates.pad * templates.step_px else 0.0
         # The grid's middle is that of the nearest device pixel.
-        middle = np.rint(np.rint(about_px[pixel] / unit) * unit / templates.spacing_px)
+        middle = np.rint(np.rint(about / unit) * unit / templates.spacing_px)
         first[pixel] = templates.middle + int(middle) - reach
     explained = np.empty((LANES, 2 * reach + 1), dtype=np.float32)
     moments = np.empty((3, LANES, 4))

@@ -184,11 +184,12 @@ def _look_up(
     last = table.entries - 1 - 2 * dark
     for k in range(LANES):
         one = lanes[k]
-        position = min(max((log_width[one] - table.thinnest) / table.node_spacing, 0.0), table.nodes - 1.0)
-        node = min(int(position), table.nodes - 2)
+        position = (log_width[one] - table.thinnest) / table.node_spacing
         from_end = (place_px[one] + table.reach_px) / table.spacing_px
-        # Far places lie where every curve is dark.
-        nearest = np.rint(min(max(from_end, 0.0), float(last)))
+        # Far places lie where every curve is dark; what is no number stays within the table, too, for no index is checked.
+        position = min(position if position > 0.0 else 0.0, table.nodes - 1.0)
+        node = min(int(position), table.nodes - 2)
+        nearest = np.rint(min(from_end if from_end > 0.0 else 0.0, float(last)))
         share[k], rest_px[k] = position - node, (from_end - nearest) * table.spacing_px
         first[k] = (shape[one] * table.nodes + node) * table.alignments * table.entries + int(nearest) + dark
         stripe[k] = peak[one] + table.pad
