@@ -9,6 +9,7 @@ from scipy.integrate import quad
 
 from recon.patterns.sweep_frames import stripe_profile
 from recon.sessions.manifest import StripePattern
+from recon.sweeps.curve_centres import curve_centres
 from recon.sweeps.curve_lookup import looked_up
 from recon.sweeps.curve_samples import CurveSamples, SweepCurves
 from recon.sweeps.curve_table import curve_table
@@ -17,6 +18,7 @@ from recon.sweeps.peak_tracker import PeakTracker
 from recon.sweeps.stripe_fit import StripeFit, WidthPrior, fit_stripe
 from recon.sweeps.stripe_model import footprint_average
 from recon.sweeps.stripe_peak import NO_PEAK, PeakWindows, parabola_offset
+from recon.sweeps.stripe_scan import _exponential
 from recon.sweeps.width_prior import Footprints, known_prior
 
 COSINE = StripePattern(profile="raised_cosine", width_px=6.0, first_px=0.0, step_px=1.0, count=64)
@@ -73,6 +75,26 @@ def test_streaming_finds_the_brightest_sample_of_the_whole_stack(stack: np.ndarr
         for column in range(-half_width, half_width + 1):
             if index != NO_PEAK and 0 <= index + column < len(stack):
                 assert windows.samples[pixel, half_width + column] == columns[index + column, pixel]
+
+
+def test_the_centre_of_a_curve_is_that_of_the_light_above_a_tenth_of_its_peak_inside_the_sweep() -> None:
+    counts = np.array([[10, 14, 50, 90, 50, 30, 10], [10, 10, 10, 90, 50, 10, 10], [10] * 7], np.uint8)
+    windows = PeakWindows(np.array([20, 0, 7], np.int32), counts, 3, 64)
+    pattern = StripePattern(profile="hard", width_px=1.0, first_px=5.0, step_px=2.0, count=64)
+    table = curve_table(pattern, half_width=3, continuous=True)
+    sweep = SweepCurves(windows, table, np.full(3, 10, np.uint8), 254)
+    centres = curve_centres(sweep, np.array([0, 1]), grid=(1, 3))
+    # (−40 + 40 + 2 · 20) / 180 and 40 / 120 of a step; before the first photo of the sweep there is nothing.
+    np.testing.assert_allclose(centres, [[5 + 2 * (20 + 40 / 180), 5 + 2 * 40 / 120, np.nan]], rtol=1e-6)
+
+
+def test_the_exponential_of_the_likelihood_is_off_by_the_remainder_of_its_series_and_rounding() -> None:
+    x = np.linspace(-30, 0, 301, dtype=np.float32)
+    found = np.array([_exponential(one) for one in x], dtype=np.float64)
+    # Taylor's remainder after the fifth power of y = x / 64 relative to exp(y), and a few roundings of it, each 64 times.
+    y = -x.astype(np.float64) / 64
+    allowed = 64 * (y**6 / 720 * np.exp(y) + 4 * 2.0**-24)
+    assert (np.abs(found / np.exp(x.astype(np.float64)) - 1) <= allowed).all()
 
 
 def test_a_parabola_is_exact_for_a_parabola() -> None:
