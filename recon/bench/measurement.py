@@ -16,10 +16,13 @@ from recon.bench.contestants import CONTESTANTS, sweep_files
 from recon.errors import ReconError
 from recon.sessions.session import open_session
 
+# What a sweep loads, with the compiler, when it is decoded.
+LOADED_WHEN_NEEDED = ("recon.sweeps.peak_tracker", "recon.sweeps.likelihood")
+
 
 def own_processes() -> OwnProcesses:
     """Return what gives every measurement a process of its own, one at a time, with the libraries loaded when it starts."""
-    return OwnProcesses(1, threads=1, preload=(__name__,))
+    return OwnProcesses(1, threads=1, preload=(__name__, *LOADED_WHEN_NEEDED))
 
 
 def measured(

@@ -225,7 +225,7 @@ def _vertex(values: np.ndarray, row: int) -> float:
 
 @compiled
 def _exponential(x: np.float32) -> np.float32:
-    """Return exp(x) for x ≤ 0 by operations that run on all lanes: the 64th power of Taylor's series, exact where exp(x) counts."""
+    """Return exp(x) for x ≤ 0 by operations for all lanes: the 64th power of a Taylor series, exact where exp(x) counts."""
     y = PART * x if x > LOWEST else PART * LOWEST
     series = ONE + y * (ONE + y * (HALF + y * (SIXTH + y * (SIXTH / FOUR + y * (SIXTH / FOUR / FIVE)))))
     for _ in range(6):
