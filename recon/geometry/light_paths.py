@@ -81,7 +81,11 @@ class LightPaths:
     def covariance_at(self, distance_mm: Float64[np.ndarray, " pixels"]) -> Float64[np.ndarray, "pixels 3 3"]:
         """Return the covariance of the line's place at that distance: the lever of the two display points."""
         lever = (distance_mm / self.baseline_mm)[:, None, None]
-        return (1 + lever) ** 2 * self.near_covariance + lever**2 * self.far_covariance
+        result, far = self.near_covariance, self.far_covariance
+        result *= (1 + lever) ** 2
+        far *= lever**2
+        result += far
+        return result
 
     def variance_along(
         self, direction: Float64[np.ndarray, "pixels 3"], distance_mm: Float64[np.ndarray, " pixels"]

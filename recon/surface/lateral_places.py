@@ -18,6 +18,8 @@ HALF_WIDTHS_PX = (2, 4)
 REJECTED_SHARE = 1e-3
 # No lateral place counts as more than this many times surer than the typical one: an sd may be too good to be true.
 SUREST = 20.0
+# What is made of so many pixels is small beside the maps of an object.
+PIXELS_AT_ONCE = 1 << 15
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -58,7 +60,6 @@ def lateral_places(
     weight = np.where(used & (variance > 0), 1 / np.where(variance > 0, variance, 1.0), 0.0)
     place, left = np.where(used, measured, np.nan), variance.copy()
     error = np.moveaxis(slide_mm @ axes[:2].T.astype(np.float32), -1, 0)
-    own_error = error.copy()
 
     def smooth(tile: tuple[Part, Part]) -> None:
         core, wide = tile
@@ -71,7 +72,7 @@ def lateral_places(
             centred = np.where(here > 0, values - np.average(values, weights=here), 0.0)
             middle = values - centred
             held = here > 0
-            noise = own_error[(axis, slice(None), *wide)].astype(np.float64)
+            noise = (slide_mm[(slice(None), *wide)] @ axes[axis].astype(np.float32)).astype(np.float64)
             fits = fit_windows(columns, rows, centred, noise, here, half_widths=HALF_WIDTHS_PX)
             for half_width, fit in zip(HALF_WIDTHS_PX, fits, strict=True):
                 freedom = fit.count - 6
@@ -103,10 +104,14 @@ def along_surface(
     normal: Float64[np.ndarray, "pixels 3"],
 ) -> Float64[np.ndarray, "pixels 3 3"]:
     """Return the covariance of where a path meets the surface: a shift d moves it by d − V (n·d)/(n·V)."""
-    facing = (direction * normal).sum(axis=1)
-    facing = np.where(np.abs(facing) > 1e-3, facing, 1e-3)
-    slide = np.eye(3) - direction[:, :, None] * (normal / facing[:, None])[:, None, :]
-    return slide @ covariance @ np.swapaxes(slide, 1, 2)
+    result = np.empty_like(covariance)
+    for low in range(0, len(result), PIXELS_AT_ONCE):
+        part = slice(low, low + PIXELS_AT_ONCE)
+        facing = (direction[part] * normal[part]).sum(axis=1)
+        facing = np.where(np.abs(facing) > 1e-3, facing, 1e-3)
+        slide = np.eye(3) - direction[part][:, :, None] * (normal[part] / facing[:, None])[:, None, :]
+        result[part] = slide @ covariance[part] @ np.swapaxes(slide, 1, 2)
+    return result
 
 
 def _grid(wide: tuple[slice, slice]) -> tuple[ScalarMap, ScalarMap]:
