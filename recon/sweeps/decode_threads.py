@@ -9,7 +9,7 @@ from recon.sweeps.correspondence import Method
 # Bytes a pixel of the photo, found with `recon bench`: what stays of a sweep, what one takes while it is decoded,
 # and how much of that for each byte of a sample (photos and windows about the peaks).
 KEPT = {"paper": 9, "full": 9}
-DECODING = {"paper": 10, "full": 60}
+DECODING = {"paper": 10, "full": 45}
 DECODING_A_SAMPLE_BYTE = {"paper": 10, "full": 35}
 # The stages that follow, and other programs, want memory too.
 USABLE_SHARE = 0.7

@@ -4,7 +4,7 @@ from dataclasses import dataclass
 
 import cv2
 import numpy as np
-from jaxtyping import Bool, Float16, Float32, Float64, Int
+from jaxtyping import Bool, Float32, Float64, Int
 from scipy.special import chdtri
 
 from recon.memory import give_back_free_memory
@@ -81,9 +81,10 @@ def places_by_likelihood(
     curves = SweepCurves(windows, table, black.ravel(), clipped)
     fits = prepared_fits(curves, pixels, grid=black.shape, dark_variance=dark_variance)
     give_back_free_memory()
-    place_px, sd_px, light, misfit, width_px = (np.full(black.shape, np.nan, dtype=np.float32) for _ in range(5))
-    # Half precision tells degrees of freedom, which are few, to a hundredth.
-    freedom, reach_px = (np.full(black.shape, np.nan, dtype=np.float16) for _ in range(2))
+    place_px, sd_px, light = (np.full(black.shape, np.nan, dtype=np.float32) for _ in range(3))
+    reach_px = np.full(black.shape, np.nan, dtype=np.float16)
+    # What no map is returned of is kept for the listed pixels alone: often these are a small part of the photo.
+    misfit, freedom, width_px = (np.empty(len(pixels), dtype=np.float32) for _ in range(3))
     unresolved: list[tuple[np.ndarray, np.ndarray]] = []
     twice, second_px, second_sd_px, second_width_px = [pixels[:0]], [np.empty(0)], [np.empty(0)], [np.empty(0)]
     for low in range(0, len(pixels), PIXELS_AT_ONCE):
@@ -94,13 +95,8 @@ def places_by_likelihood(
         # The other peak may reach into the window's end, and its light has been taken away.
         cut_off[two.rows] = False
         good = good_fit(fit, pattern, noise=fits.noise) & ~cut_off
-        for one, values in (
-            (misfit, fit.chi_square / fit.freedom),
-            (freedom, fit.freedom),
-            (light, fit.amplitude),
-            (width_px, np.exp(fit.log_width)),
-        ):
-            one.ravel()[part] = values
+        misfit[rows], freedom[rows], width_px[rows] = fit.chi_square / fit.freedom, fit.freedom, np.exp(fit.log_width)
+        light.ravel()[part] = fit.amplitude
         place_px.ravel()[part[good]], sd_px.ravel()[part[good]] = fit.place_px[good], fit.sd_px[good]
         unsure = unresolved_px(fit, prior)
         unsure[two.rows] = 0.0
@@ -113,15 +109,14 @@ def places_by_likelihood(
         ratio = two.second.chi_square / two.second.freedom
         second_sd_px.append(two.second.sd_px * np.sqrt(np.maximum(ratio, 1.0)))
     give_back_free_memory()
-    few = misfit.ravel()[pixels[:: max(len(pixels) // MISFIT_PIXELS, 1)]]
+    few = misfit[:: max(len(pixels) // MISFIT_PIXELS, 1)]
     usual_misfit = float(np.median(few)) if len(few) else float("nan")
-    _widen_by_misfit(sd_px, misfit, freedom, np.isfinite(place_px))
+    _widen_by_misfit(sd_px, misfit, freedom, pixels)
     del misfit, freedom
     for unsure_pixels, unsure_px in unresolved:
         sd_px.ravel()[unsure_pixels] = np.hypot(sd_px.ravel()[unsure_pixels], unsure_px)
-    beyond = scatter_beyond(place_px, sd_px, width_px)
-    width_px *= np.float32(beyond)
-    np.hypot(sd_px, width_px, out=sd_px)
+    beyond = scatter_beyond(place_px, sd_px, _laid(width_px, pixels, slice(0, len(black)), columns=black.shape[1]))
+    sd_px.ravel()[pixels] = np.hypot(sd_px.ravel()[pixels], np.float32(beyond) * width_px)
     del width_px
     trusted = np.ones(black.shape, dtype=bool)
     for doubled in (*twice, *(unsure_pixels for unsure_pixels, _ in unresolved)):
@@ -149,26 +144,39 @@ def _cut_off(curves: SweepCurves, pixels: np.ndarray) -> Bool[np.ndarray, " pixe
     return (before & (first > CUT_OFF_LEVEL * peak)) | (after & (last > CUT_OFF_LEVEL * peak))
 
 
+def _laid(
+    values: Float32[np.ndarray, " pixels"], pixels: Int[np.ndarray, " pixels"], band: slice, *, columns: int
+) -> Float32[np.ndarray, "rows cols"]:
+    """Return a band of rows of the photo with the values of the listed pixels in their places, else NaN."""
+    laid = np.full((band.stop - band.start) * columns, np.nan, dtype=np.float32)
+    first, last = np.searchsorted(pixels, (band.start * columns, band.stop * columns))
+    laid[pixels[first:last] - band.start * columns] = values[first:last]
+    return laid.reshape(-1, columns)
+
+
 def _widen_by_misfit(
     sd_px: Float32[np.ndarray, "rows cols"],
-    misfit: Float32[np.ndarray, "rows cols"],
-    freedom: Float16[np.ndarray, "rows cols"],
-    good: Bool[np.ndarray, "rows cols"],
+    misfit: Float32[np.ndarray, " pixels"],
+    freedom: Float32[np.ndarray, " pixels"],
+    pixels: Int[np.ndarray, " pixels"],
 ) -> None:
     """Widen each sd, in place, where curves are not quite the model's (Birge's ratio): ``misfit`` is chi-square over ``freedom``.
 
     The ratio of the neighbourhood counts, whose own scatter is small; a pixel's own one does where chance does not explain it.
     """
     # The limit over the degrees of freedom is least where these are most: few pixels are worth asking for their own.
-    most = float(freedom[good].max()) if good.any() else 1.0
+    most = float(np.fmax.reduce(freedom, initial=np.float32(1)))
     least_limit = np.float32(chdtri(most, OWN_MISFIT_CHANCE) / most)
     margin = SCALE_WINDOW_PX // 2
-    for low in range(0, len(good), BAND_ROWS):
+    rows, columns = sd_px.shape
+    good = np.isfinite(sd_px)
+    for low in range(0, rows, BAND_ROWS):
         if not good[low : low + BAND_ROWS].any():
             continue
         above = max(low - margin, 0)
-        band = slice(above, low + BAND_ROWS + margin)
-        ratio, inside = misfit[band], good[band].astype(np.float32)
+        band = slice(above, min(low + BAND_ROWS + margin, rows))
+        ratio, free = (_laid(one, pixels, band, columns=columns) for one in (misfit, freedom))
+        inside = good[band].astype(np.float32)
         clean = np.where(good[band], np.minimum(ratio, np.float32(LARGEST_CLEAN_RATIO)), np.float32(0))
         total, number = (
             cv2.boxFilter(
@@ -182,7 +190,7 @@ def _widen_by_misfit(
         )
         local = np.maximum(total / np.maximum(number, 1), 1)
         doubtful = np.nonzero(good[band] & (ratio > local * least_limit))
-        own_freedom = freedom[band][doubtful].astype(np.float64)
+        own_freedom = free[doubtful].astype(np.float64)
         limit = local[doubtful] * chdtri(own_freedom, OWN_MISFIT_CHANCE) / own_freedom
         own = np.where(ratio[doubtful] > limit, ratio[doubtful], 0)
         local[doubtful] = np.maximum(local[doubtful], own)
