@@ -32,7 +32,8 @@ def less_than_half_seen(
     whole = lit & ~at_edge & np.isfinite(light)
     row, col = np.nonzero(at_edge & np.isfinite(light))
     half = WINDOW_PX // 2
-    near = np.pad(np.where(whole, light, np.nan), half, constant_values=np.nan)
+    near = np.full([size + 2 * half for size in light.shape], np.nan, dtype=light.dtype)
+    np.copyto(near[half:-half, half:-half], light, where=whole)
     windows = np.lib.stride_tricks.sliding_window_view(near, (WINDOW_PX, WINDOW_PX))[row, col].reshape(-1, WINDOW_PX**2)
     known = np.isfinite(windows).sum(axis=1) >= FEWEST_WHOLE
     result = np.zeros(light.shape, dtype=bool)

@@ -19,7 +19,7 @@ from recon.sweeps.stripe_peak import PeakWindows
 from recon.sweeps.two_paths import unresolved_px
 
 # Fitted and written into the maps at a time: what is made of them is small beside the maps of a large photo.
-PIXELS_AT_ONCE = 1 << 17
+PIXELS_AT_ONCE = 1 << 16
 # One good curve in a thousand is taken for a bad one, whose own misfit then widens its sd.
 OWN_MISFIT_CHANCE = 1e-3
 # The median misfit of so many curves is that of all.
@@ -115,8 +115,10 @@ def places_by_likelihood(
     del misfit, freedom
     for unsure_pixels, unsure_px in unresolved:
         sd_px.ravel()[unsure_pixels] = np.hypot(sd_px.ravel()[unsure_pixels], unsure_px)
-    beyond = scatter_beyond(place_px, sd_px, _laid(width_px, pixels, slice(0, len(black)), columns=black.shape[1]))
-    sd_px.ravel()[pixels] = np.hypot(sd_px.ravel()[pixels], np.float32(beyond) * width_px)
+    width_px = _laid(width_px, pixels, slice(0, len(black)), columns=black.shape[1])
+    beyond = scatter_beyond(place_px, sd_px, width_px)
+    width_px *= np.float32(beyond)
+    np.hypot(sd_px, width_px, out=sd_px)
     del width_px
     trusted = np.ones(black.shape, dtype=bool)
     for doubled in (*twice, *(unsure_pixels for unsure_pixels, _ in unresolved)):
@@ -150,7 +152,9 @@ def _laid(
     """Return a band of rows of the photo with the values of the listed pixels in their places, else NaN."""
     laid = np.full((band.stop - band.start) * columns, np.nan, dtype=np.float32)
     first, last = np.searchsorted(pixels, (band.start * columns, band.stop * columns))
-    laid[pixels[first:last] - band.start * columns] = values[first:last]
+    for low in range(first, last, PIXELS_AT_ONCE):
+        rows = slice(low, min(low + PIXELS_AT_ONCE, last))
+        laid[pixels[rows] - band.start * columns] = values[rows]
     return laid.reshape(-1, columns)
 
 
@@ -169,15 +173,15 @@ def _widen_by_misfit(
     least_limit = np.float32(chdtri(most, OWN_MISFIT_CHANCE) / most)
     margin = SCALE_WINDOW_PX // 2
     rows, columns = sd_px.shape
-    good = np.isfinite(sd_px)
     for low in range(0, rows, BAND_ROWS):
-        if not good[low : low + BAND_ROWS].any():
+        if not np.isfinite(sd_px[low : low + BAND_ROWS]).any():
             continue
         above = max(low - margin, 0)
         band = slice(above, min(low + BAND_ROWS + margin, rows))
         ratio, free = (_laid(one, pixels, band, columns=columns) for one in (misfit, freedom))
-        inside = good[band].astype(np.float32)
-        clean = np.where(good[band], np.minimum(ratio, np.float32(LARGEST_CLEAN_RATIO)), np.float32(0))
+        good = np.isfinite(sd_px[band])
+        inside = good.astype(np.float32)
+        clean = np.where(good, np.minimum(ratio, np.float32(LARGEST_CLEAN_RATIO)), np.float32(0))
         total, number = (
             cv2.boxFilter(
                 one,
@@ -189,7 +193,7 @@ def _widen_by_misfit(
             for one in (clean, inside)
         )
         local = np.maximum(total / np.maximum(number, 1), 1)
-        doubtful = np.nonzero(good[band] & (ratio > local * least_limit))
+        doubtful = np.nonzero(good & (ratio > local * least_limit))
         own_freedom = free[doubtful].astype(np.float64)
         limit = local[doubtful] * chdtri(own_freedom, OWN_MISFIT_CHANCE) / own_freedom
         own = np.where(ratio[doubtful] > limit, ratio[doubtful], 0)
