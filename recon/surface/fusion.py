@@ -155,6 +155,7 @@ def fuse_on_rays(
     turn = np.full(used.shape, np.nan)
     if graph.pixels:
         last = _system(graph, rays, chords, pairs, positions)
+        give_back_free_memory()
         errors, slides, turned_squared = drawn_errors(
             graph,
             rays,
