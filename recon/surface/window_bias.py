@@ -12,6 +12,8 @@ from recon.surface.ray_chords import Mask, ScalarMap, VectorMap
 BIAS_WINDOW_PX = 9
 # From the measured normals it is taken nearer by: beside a crease it is not that of pixels farther away.
 OWN_WINDOW_PX = 5
+# Along a rim it changes more slowly than across it.
+RIM_WINDOW_PX = 17
 # Windows cut at a rim, or by the tile, tell of the bias only where no whole one is near.
 CUT_WEIGHT = 1e-3
 
@@ -83,7 +85,7 @@ def _by_depth(
     for depth, there in [(first, depth_px <= first), *((k, depth_px == k) for k in range(first + 1, last + 1))]:
         if there.any():
             alike = outermost if depth == first else np.where(there, weight, 0.0)
-            result[..., there] = _mean(slopes, alike, window_px=BIAS_WINDOW_PX)[..., there]
+            result[..., there] = _mean(slopes, alike, window_px=RIM_WINDOW_PX)[..., there]
     return result
 
 
