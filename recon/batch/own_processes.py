@@ -33,7 +33,8 @@ class OwnProcesses(Executor):
         known = "forkserver" in multiprocessing.get_all_start_methods()
         self._context = multiprocessing.get_context("forkserver") if known else multiprocessing.get_context("spawn")
         self._context.set_forkserver_preload(list(preload))
-        self._limits = dict.fromkeys(THREAD_VARIABLES, str(threads))
+        # A folder in which somebody happens to work must not stand for a library of the same name.
+        self._variables = {**dict.fromkeys(THREAD_VARIABLES, str(threads)), "PYTHONSAFEPATH": "1"}
         self._lanes = ThreadPoolExecutor(jobs, thread_name_prefix="batch")
         self._running: set[BaseProcess] = set()
         self._starting = threading.Lock()
@@ -57,7 +58,7 @@ class OwnProcesses(Executor):
     def _call(self, fn: Callable[..., Any], args: tuple[Any, ...], kwargs: dict[str, Any]) -> Any:
         receiver, sender = self._context.Pipe(duplex=False)
         process = self._context.Process(target=_answer, args=(sender, fn, args, kwargs), daemon=True)
-        with self._starting, _environment(self._limits):
+        with self._starting, _environment(self._variables):
             if self._killed:
                 raise WorkerLostError("not begun")
             process.start()

@@ -233,3 +233,21 @@ def test_what_names_no_session_is_refused_in_a_sentence(
 def test_results_never_go_into_the_sessions_themselves(tmp_path: Path) -> None:
     with pytest.raises(ReconError, match="the results of cup would go into the session itself"):
         save_record(Batch(tmp_path, {"cup": tmp_path / "cup"}, Settings()))
+
+
+ASK_A_PROCESS = """
+from recon.batch.own_processes import OwnProcesses
+if __name__ == "__main__":
+    with OwnProcesses(1, threads=1, preload=("recon.compiled",)) as processes:
+        print(processes.submit(len, "four").result())
+"""
+
+
+def test_a_folder_that_bears_a_librarys_name_does_not_stand_for_it_where_somebody_works(tmp_path: Path) -> None:
+    # Numba looks for this library, which is not installed, and takes any folder for it.
+    work = tmp_path / "work"
+    (work / "coverage").mkdir(parents=True)
+    script = tmp_path / "ask.py"
+    script.write_text(ASK_A_PROCESS)
+    asked = subprocess.run([sys.executable, script], cwd=work, capture_output=True, text=True, check=False)
+    assert (asked.stdout, asked.returncode) == ("4\n", 0), asked.stderr
