@@ -16,7 +16,7 @@ from recon.bench.measurement import measured, own_processes
 PAPER_PIXELS = 3888 * 2592
 # What an ordinary camera makes of 3888 × 2592 pixels; other sizes are scaled by their pixels.
 PAPER_PHOTO_MB = (1.0, 1.7, 4.0)
-LIBRARIES = ("numpy", "scipy", "opencv-contrib-python-headless", "simplejpeg", "refractive-scan")
+LIBRARIES = ("numpy", "scipy", "numba", "opencv-contrib-python-headless", "simplejpeg", "refractive-scan")
 LARGEST_STACK_SHARE = 0.5
 # So many photos tell by themselves what one more costs, and naive scripts, whose cost is the same for every photo, take too long.
 LONG = 300
