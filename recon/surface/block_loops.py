@@ -1,7 +1,8 @@
 """Compiled loops over a sparse matrix and several right sides at once: one pass over the matrix serves all of them.
 
-Right sides and solutions lie with their columns side by side, one row an unknown, in single precision. How many columns there are
-is known when the loops are compiled, so that a core takes all of them in one step.
+Right sides and solutions lie with their columns side by side, one row an unknown: in single precision within a cycle of
+multigrid, in double precision around it. How many columns there are is known when the loops are compiled, so that a core takes
+all of them in one step.
 """
 
 import numpy as np
@@ -96,17 +97,16 @@ def multiply(
     starts: np.ndarray, unknowns: np.ndarray, values: np.ndarray, search: np.ndarray, along: np.ndarray
 ) -> np.ndarray:
     """Write the matrix's product with a search direction, and return the dot product of both, a column each."""
-    dot, total = np.zeros(COLUMNS), np.empty(COLUMNS, np.float32)
+    dot, total = np.zeros(COLUMNS), np.empty(COLUMNS)
     for row in range(len(starts) - 1):
         for k in range(COLUMNS):
             total[k] = 0.0
         for place in range(starts[row], starts[row + 1]):
-            value = np.float32(values[place])
             for k in range(COLUMNS):
-                total[k] += value * search[unknowns[place], k]
+                total[k] += values[place] * search[unknowns[place], k]
         for k in range(COLUMNS):
             along[row, k] = total[k]
-            dot[k] += np.float64(total[k]) * search[row, k]
+            dot[k] += total[k] * search[row, k]
     return dot
 
 
@@ -143,5 +143,5 @@ def dot_products(one: np.ndarray, other: np.ndarray) -> np.ndarray:
     dot = np.zeros(COLUMNS)
     for row in range(len(one)):
         for k in range(COLUMNS):
-            dot[k] += np.float64(one[row, k]) * other[row, k]
+            dot[k] += one[row, k] * other[row, k]
     return dot

@@ -1,7 +1,7 @@
-"""One sparse symmetric positive definite system for several right sides at once, in single precision.
+"""One sparse symmetric positive definite system for several right sides at once.
 
-Conjugate gradients for each, in lockstep and preconditioned by the same multigrid cycle: good to a thousandth, which is enough
-for draws of noise.
+Conjugate gradients for each, in lockstep and preconditioned by the same multigrid cycle. The cycle is in single precision.
+What is around it is not: over millions of pixels the product with a long wave is as small as single precision's rounding.
 """
 
 import numpy as np
@@ -14,6 +14,7 @@ from recon.surface.block_loops import COLUMNS
 from recon.surface.multigrid import Multigrid
 
 Block = Float32[np.ndarray, "unknowns columns"]
+DoubleBlock = Float64[np.ndarray, "unknowns columns"]
 
 
 def solved_block(
@@ -31,35 +32,34 @@ def solved_block(
     """
     assert right.shape[1] == COLUMNS
     rows = (matrix.indptr, matrix.indices, matrix.data)
-    weight = weight.astype(np.float32)
-    solution, residual = np.zeros_like(right), right.copy()
-    search, along = np.zeros_like(right), np.zeros_like(right)
-    nothing = np.zeros(COLUMNS, np.float32)
+    residual = right.astype(np.float64)
+    solution, search, along = (np.zeros_like(residual) for _ in range(3))
+    nothing = np.zeros(COLUMNS)
     squares = block_loops.step(nothing, search, along, weight, solution, residual)
     tolerance, product = relative_tolerance**2 * squares, np.ones(COLUMNS)
     for _ in range(steps):
         if (squares <= tolerance).all():
-            return solution, True
+            return solution.astype(np.float32), True
         upward = _cycled(multigrid, residual)
         before, product = product, block_loops.dot_products(residual, upward)
         block_loops.turn(_ratio(product, before), upward, search)
         length = _ratio(product, block_loops.multiply(*rows, search, along))
         if not np.isfinite(length).all():
-            return solution, False
+            return solution.astype(np.float32), False
         squares = block_loops.step(length, search, along, weight, solution, residual)
-    return solution, bool((squares <= tolerance).all())
+    return solution.astype(np.float32), bool((squares <= tolerance).all())
 
 
 def _ratio(above: Float64[np.ndarray, " columns"], below: Float64[np.ndarray, " columns"]) -> np.ndarray:
     """Return the ratio, 0 for a column that is solved to the last digit."""
-    return np.divide(above, below, out=np.zeros(COLUMNS), where=below != 0).astype(np.float32)
+    return np.divide(above, below, out=np.zeros(COLUMNS), where=below != 0)
 
 
-def _cycled(multigrid: Multigrid, residual: Block) -> Block:
+def _cycled(multigrid: Multigrid, residual: DoubleBlock) -> DoubleBlock:
     """Return an approximate solution for these right sides: one symmetric V-cycle, in which the longest column has length 1."""
     size = np.abs(residual).max(axis=0)
-    scale = np.where((size > 0) & np.isfinite(size), size, np.float32(1.0))
-    return _cycle(multigrid, 0, residual / scale) * scale
+    scale = np.where((size > 0) & np.isfinite(size), size, 1.0)
+    return _cycle(multigrid, 0, (residual / scale).astype(np.float32)) * scale
 
 
 def _cycle(multigrid: Multigrid, depth: int, right: Block) -> Block:

@@ -73,9 +73,9 @@ class SparseSolver:
         return solve
 
     def block_solver(self, matrix: csr_array, *, relative_tolerance: float) -> Callable[[Block], Block]:
-        """Prepare to solve for several right sides at once, to no more than a thousandth; the function may run in threads.
+        """Prepare to solve for several right sides at once; the function may run in threads.
 
-        Where single precision is not enough for that, they are solved one by one.
+        Where they do not converge together, they are solved one by one.
         """
         if matrix.shape[0] <= DIRECT_UNKNOWNS:
             factorised = _direct(matrix)

@@ -5,6 +5,8 @@ import pytest
 from scipy.sparse import csr_array
 
 from recon.surface import sparse_solver
+from recon.surface.block_solver import solved_block
+from recon.surface.multigrid import Multigrid
 from recon.surface.neighbours import neighbours_of, normal_equations
 from recon.surface.sparse_solver import SolverError, solver
 
@@ -72,3 +74,21 @@ def test_right_side_that_is_not_a_number_is_one_sentence() -> None:
     right[0] = np.nan
     with pytest.raises(SolverError, match="did not converge"):
         solver(matrix)(right, np.zeros_like(right))
+
+
+def test_long_waves_of_several_right_sides_are_found_though_single_precision_cannot_see_their_product() -> None:
+    size = 300
+    graph = neighbours_of(np.ones((size, size), bool))
+    pairs = len(graph.first)
+    # Beside its stiffness, 4, a pixel is held by less than what single precision tells apart from that.
+    matrix = normal_equations(graph, -np.ones(pairs), np.ones(pairs), np.ones(pairs), np.full(graph.pixels, 1e-7))
+    along = (np.arange(size * size) // size + 0.5) * np.pi / size
+    solutions = np.stack([np.cos(waves * along) for waves in range(4)], axis=1)
+    # A cosine that is level at both ends is an eigenvector: 4 sin²(k/2) of it is left by the differences (Strang 1999).
+    sizes = 4 * np.sin(np.arange(4) * np.pi / size / 2) ** 2 + 1e-7
+    right = (solutions * sizes).astype(np.float32)
+    found, converged = solved_block(
+        matrix, right, Multigrid.of(matrix), 1 / matrix.diagonal(), relative_tolerance=1e-3, steps=60
+    )
+    assert converged
+    assert np.abs(found - solutions).max() < 0.01
