@@ -9,18 +9,16 @@ from numba import njit
 Arguments = ParamSpec("Arguments")
 Result = TypeVar("Result")
 
-# Sums may be taken in any order, which lets them use all lanes of a core; NaN and infinity keep their meaning.
-REORDERING = {"reassoc", "contract", "arcp", "nsz"}
-
 
 def compiled(function: Callable[Arguments, Result]) -> Callable[Arguments, Result]:
     """Compile a function of arrays and numbers when it is first called, and keep the machine code for the next process.
 
     It runs without the interpreter's lock, so that threads share the cores, and checks no index: shapes are checked by what
-    calls it. Where no folder can be written, it is compiled once a process.
+    calls it. Sums keep their order, so that code just compiled and code that was kept give the same bytes. Where no folder can be
+    written, it is compiled once a process.
     """
     plain = unwrap(function)
-    options = {"nogil": True, "error_model": "numpy", "fastmath": REORDERING}
+    options = {"nogil": True, "error_model": "numpy"}
     try:
         kept: Callable[Arguments, Result] = njit(plain, cache=True, **options)
     except RuntimeError:  # Numba's own word for that there is no such folder
