@@ -81,21 +81,23 @@ class SparseSolver:
             factorised = _direct(matrix)
             return lambda right: factorised(right.astype(np.float64), right).astype(np.float32)
         weight = 1 / matrix.diagonal()
-        inherited = self._multigrid
+        multigrid, renewed = self._multigrid, False
+
+        def together(right: Block) -> tuple[Block, bool]:
+            nonlocal multigrid, renewed
+            if multigrid is None:
+                multigrid, renewed = Multigrid.of(matrix), True
+            steps = MOST_ITERATIONS if renewed else MOST_WITH_OTHER_WEIGHTS
+            return solved_block(matrix, right, multigrid, weight, relative_tolerance=relative_tolerance, steps=steps)
 
         def solve(right: Block) -> Block:
-            for multigrid, steps in ((inherited, MOST_WITH_OTHER_WEIGHTS), (None, MOST_ITERATIONS)):
-                if multigrid is not None or steps == MOST_ITERATIONS:
-                    found, converged = solved_block(
-                        matrix,
-                        right,
-                        multigrid or Multigrid.of(matrix),
-                        weight,
-                        relative_tolerance=relative_tolerance,
-                        steps=steps,
-                    )
-                    if converged:
-                        return found
+            nonlocal multigrid
+            found, converged = together(right)
+            if not converged and not renewed:
+                multigrid = None
+                found, converged = together(right)
+            if converged:
+                return found
             one_by_one = solver(matrix, relative_tolerance=relative_tolerance)
             columns = [one_by_one(column, np.zeros_like(column)) for column in right.T.astype(np.float64)]
             return np.stack(columns, axis=1).astype(np.float32)
