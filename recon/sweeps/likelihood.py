@@ -151,7 +151,9 @@ def _laid(
 ) -> Float32[np.ndarray, "rows cols"]:
     """Return a band of rows of the photo with the values of the listed pixels in their places, else NaN."""
     laid = np.full((band.stop - band.start) * columns, np.nan, dtype=np.float32)
-    first, last = np.searchsorted(pixels, (band.start * columns, band.stop * columns))
+    # Numbers of another type would have all the pixels converted.
+    ends = np.array([band.start * columns, band.stop * columns], dtype=pixels.dtype)
+    first, last = np.searchsorted(pixels, ends)
     for low in range(first, last, PIXELS_AT_ONCE):
         rows = slice(low, min(low + PIXELS_AT_ONCE, last))
         laid[pixels[rows] - band.start * columns] = values[rows]

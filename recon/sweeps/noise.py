@@ -4,7 +4,6 @@ import itertools
 from dataclasses import dataclass
 
 import numpy as np
-from scipy.optimize import nnls
 
 from recon.sweeps.stripe_peak import PeakWindows
 
@@ -129,8 +128,22 @@ def noise_from_residuals(
     # Relative errors of the binned variances are alike, so each weighs by one over itself.
     weight = 1 / np.maximum(variance, ROUNDING_VARIANCE)
     terms = np.stack([place, place**2], axis=1) * weight[:, None]
-    (gain, relative_squared), _ = nnls(terms, np.maximum(variance - read_variance, 0.0) * weight)
-    return NoiseModel(read_variance, float(gain), float(np.sqrt(relative_squared)))
+    gain, relative_squared = _two_not_negative(terms, np.maximum(variance - read_variance, 0.0) * weight)
+    return NoiseModel(read_variance, gain, float(np.sqrt(relative_squared)))
+
+
+def _two_not_negative(terms: np.ndarray, wanted: np.ndarray) -> tuple[float, float]:
+    """Return two factors, neither below zero, of the columns of ``terms`` [rows, 2] whose sum is nearest to ``wanted`` [rows].
+
+    For two of them it is quickly said; SciPy's ``nnls``, for any number, would have every sweep load all of its optimisers.
+    """
+    both, _, rank, _ = np.linalg.lstsq(terms, wanted, rcond=None)
+    if rank == 2 and (both >= 0).all():
+        return float(both[0]), float(both[1])
+    # Then the least lies on an edge, where one of the two is zero.
+    square, pull = np.einsum("ij,ij->j", terms, terms), np.maximum(wanted @ terms, 0.0)
+    factor = pull / np.maximum(square, np.finfo(np.float64).tiny)
+    return (float(factor[0]), 0.0) if pull[0] * factor[0] >= pull[1] * factor[1] else (0.0, float(factor[1]))
 
 
 def lone_peak_variance(
