@@ -6,12 +6,15 @@ import cv2
 import numpy as np
 from jaxtyping import Bool, Float, Float32
 
+from recon.compiled import compiled
+
 WINDOW_PX = 5
 # Where a small window spans less than this many quanta of the places it sees their steps; a larger one is taken.
 LARGE_WINDOW_PX = 15
 FEWEST_QUANTA = 2.5
 # A slope needs a few neighbours, and not all of them in one line.
 FEWEST_NEIGHBOURS = 6
+LEAST_DETERMINANT = 1e-6
 # Maps are gone through tile by tile, each with what its pixels' own neighbours see: two medians and the large window.
 TILE_PX = 256
 NEIGHBOURHOOD_PX = 2 * (WINDOW_PX // 2) + LARGE_WINDOW_PX // 2
@@ -61,30 +64,52 @@ def _plane_slopes(value: np.ndarray, keep: np.ndarray, *, window_px: int) -> tup
 
     ``value`` is zero where it is not kept.
     """
-    half = window_px // 2
-    step = np.arange(-half, half + 1, dtype=np.float64)
-    one = np.ones_like(step)
+    slopes = np.full((2, *value.shape), np.nan)
+    write_slopes(value, keep, window_px // 2, slopes)
+    return slopes[0], slopes[1]
 
-    def total(values: np.ndarray, by_col: np.ndarray, by_row: np.ndarray) -> np.ndarray:
-        return cv2.sepFilter2D(values, -1, by_col, by_row, borderType=cv2.BORDER_CONSTANT).astype(
-            np.float64, copy=False
-        )
 
-    # Sums of small whole numbers, which single precision holds exactly.
-    weight = keep.astype(np.float32)
-    count = total(weight, one, one)
-    x, y = total(weight, step, one), total(weight, one, step)
-    xx, yy, xy = total(weight, step**2, one), total(weight, one, step**2), total(weight, step, step)
-    v, xv, yv = total(value, one, one), total(value, step, one), total(value, one, step)
-    # From here on about the mean of each window.
-    share = 1 / np.maximum(count, 1.0)
-    x_mean, y_mean = x * share, y * share
-    xx -= x * x_mean
-    yy -= y * y_mean
-    xy -= x * y_mean
-    xv -= x_mean * v
-    yv -= y_mean * v
-    determinant = xx * yy - xy**2
-    good = (count >= FEWEST_NEIGHBOURS) & (determinant > 1e-6)
-    scale = np.where(good, determinant, np.nan)
-    return (yy * xv - xy * yv) / scale, (xx * yv - xy * xv) / scale
+@compiled
+def write_slopes(value: np.ndarray, keep: np.ndarray, half: int, slopes: np.ndarray) -> None:
+    """Write by column and by row [2, rows, cols] the slopes of the planes through the kept pixels of windows about each.
+
+    Sums run along with the window, first down the columns and then along each row. Places in single precision leave double
+    precision room for them, so that what is added and taken away again leaves nothing behind.
+    """
+    rows, cols = value.shape
+    # Of each column: pixels, rows, squares of rows, values, rows times values.
+    column = np.zeros((5, cols))
+    window = np.zeros(9)
+    for bottom in range(rows + half):
+        for sign, row in ((1.0, bottom), (-1.0, bottom - 2 * half - 1)):
+            if 0 <= row < rows:
+                for col in range(cols):
+                    if keep[row, col]:
+                        column[0, col] += sign
+                        column[1, col] += sign * row
+                        column[2, col] += sign * row * row
+                        column[3, col] += sign * value[row, col]
+                        column[4, col] += sign * row * value[row, col]
+        if bottom < half:
+            continue
+        window[:] = 0.0
+        for right in range(cols + half):
+            for sign, col in ((1.0, right), (-1.0, right - 2 * half - 1)):
+                if 0 <= col < cols and column[0, col] > 0.0:
+                    for moment in range(5):
+                        window[moment] += sign * column[moment, col]
+                    window[5] += sign * col * column[0, col]
+                    window[6] += sign * col * col * column[0, col]
+                    window[7] += sign * col * column[1, col]
+                    window[8] += sign * col * column[3, col]
+            count, y, yy, v, yv = window[0], window[1], window[2], window[3], window[4]
+            if right < half or count < FEWEST_NEIGHBOURS:
+                continue
+            # About the mean of the window, and times the number of its pixels: all but the last two are whole numbers.
+            x = window[5]
+            xx, yy, xy = count * window[6] - x * x, count * yy - y * y, count * window[7] - x * y
+            xv, yv = count * window[8] - x * v, count * yv - y * v
+            determinant = xx * yy - xy * xy
+            if determinant > LEAST_DETERMINANT * count * count:
+                slopes[0, bottom - half, right - half] = (yy * xv - xy * yv) / determinant
+                slopes[1, bottom - half, right - half] = (xx * yv - xy * xv) / determinant
