@@ -1,14 +1,15 @@
 """Which share of its samples' noise a fit follows: a residual has the rest of it."""
 
-from itertools import combinations_with_replacement
-
 import numpy as np
 
+from recon.compiled import compiled
 from recon.sweeps.curve_lookup import looked_up
 from recon.sweeps.curve_samples import CurveSamples
 from recon.sweeps.curve_table import CurveTable
 from recon.sweeps.noise import NoiseModel
 from recon.sweeps.stripe_fit import StripeFit, WidthPrior, weights_of
+
+RIDGE = 1e-9  # of the information on all parameters
 
 
 def leverage_of(
@@ -23,17 +24,55 @@ def leverage_of(
     lit = amplitude * curve
     residual = samples.height - lit - fit.background[:, None]
     weight = weights_of(lit, samples, noise)
-    design = (curve, np.ones_like(curve), amplitude * by_place, amplitude * by_width)
-    weighted = tuple(weight * part for part in design)
-    normal = np.empty((len(curve), len(design), len(design)))
-    for row, column in combinations_with_replacement(range(len(design)), 2):
-        normal[:, row, column] = normal[:, column, row] = np.einsum("ps,ps->p", weighted[row], design[column])
-    normal[:, 1, 1] += 1 / noise.read_variance
-    normal[:, 3, 3] += 1 / prior.sd**2
-    # A parameter that the curve does not hold follows nothing.
-    normal += 1e-9 * np.trace(normal, axis1=1, axis2=2)[:, None, None] * np.eye(4)
-    inverse = np.linalg.inv(normal)
-    leverage = np.zeros_like(curve)
-    for row, part in enumerate(weighted):
-        leverage += part * sum(inverse[:, row, column, None] * other for column, other in enumerate(design))
+    leverage = np.empty_like(curve)
+    derivatives = (curve, amplitude * by_place, amplitude * by_width)
+    write_leverage(*derivatives, weight, 1 / noise.read_variance, 1 / prior.sd**2, leverage)
     return lit, residual, leverage
+
+
+@compiled
+def write_leverage(
+    curve: np.ndarray,
+    by_place: np.ndarray,
+    by_width: np.ndarray,
+    weight: np.ndarray,
+    black_weight: float,
+    width_weight: np.ndarray,
+    leverage: np.ndarray,
+) -> None:
+    """Write the leverage of every sample [pixels, samples] from the derivatives by amplitude, place and width.
+
+    That by the background is one; ``black_weight`` and ``width_weight`` [pixels] are what was known of it and of the width.
+    """
+    normal, design = np.empty((4, 4)), np.ones(4)
+    for pixel in range(len(curve)):
+        normal[:] = 0.0
+        for s in range(curve.shape[1]):
+            design[0], design[2], design[3] = curve[pixel, s], by_place[pixel, s], by_width[pixel, s]
+            for row in range(4):
+                for column in range(row + 1):
+                    normal[row, column] += weight[pixel, s] * design[row] * design[column]
+        normal[1, 1] += black_weight
+        normal[3, 3] += width_weight[pixel]
+        # A parameter that the curve does not hold follows nothing.
+        ridge = RIDGE * (normal[0, 0] + normal[1, 1] + normal[2, 2] + normal[3, 3])
+        # Cholesky's lower triangle, in place.
+        for column in range(4):
+            normal[column, column] += ridge
+            for k in range(column):
+                normal[column, column] -= normal[column, k] * normal[column, k]
+            normal[column, column] = np.sqrt(max(normal[column, column], RIDGE * ridge))
+            for row in range(column + 1, 4):
+                for k in range(column):
+                    normal[row, column] -= normal[row, k] * normal[column, k]
+                normal[row, column] /= normal[column, column]
+        for s in range(curve.shape[1]):
+            design[0], design[2], design[3] = curve[pixel, s], by_place[pixel, s], by_width[pixel, s]
+            square = 0.0
+            for row in range(4):
+                for k in range(row):
+                    design[row] -= normal[row, k] * design[k]
+                design[row] /= normal[row, row]
+                square += design[row] * design[row]
+            leverage[pixel, s] = weight[pixel, s] * square
+            design[1] = 1.0
