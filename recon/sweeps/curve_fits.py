@@ -137,11 +137,20 @@ def _boxes(
     gradient = coordinate_gradient(place_px, np.isfinite(place_px), quantum_px=quantum_px)
     widths = gradient.reshape(-1, 2)[pixels]
     np.abs(widths, out=widths)
-    known = np.isfinite(widths).all(axis=1)
-    if not known.all():
-        told = widths[known]
-        widths[~known] = [float(np.median(one)) if len(told) else 0.5 for one in told.T]
+    # A gradient has both of its parts or neither.
+    unknown = np.flatnonzero(np.isnan(widths[:, 0]))
+    if len(unknown):
+        widths[unknown] = [_median_of_the_known(one, len(pixels) - len(unknown)) for one in widths.T]
     return widths
+
+
+def _median_of_the_known(values: Float32[np.ndarray, " pixels"], known: int) -> float:
+    """Return the median of so many values, the others being NaN; a half where there are none."""
+    if not known:
+        return 0.5
+    middle = [(known - 1) // 2, known // 2]
+    # No number is put behind all numbers.
+    return float(np.mean(np.partition(values, middle)[middle]))
 
 
 def _lattice(pixels: np.ndarray, grid: tuple[int, int]) -> tuple[Int64[np.ndarray, " some"], int]:

@@ -22,9 +22,9 @@ def looked_up(
 
     Widths are interpolated between two nodes; places are Taylor-expanded from the nearest entry.
     """
+    log_width = np.ascontiguousarray(log_width)
     table.fill_about(shape, log_width)
     found = np.empty((3, len(place), samples.height.shape[1]))
-    log_width = np.ascontiguousarray(log_width)
     look_up_pixels(samples.peak, place - samples.peak_px, shape, log_width, table_arrays(table), found)
     return found[0], found[1], found[2]
 

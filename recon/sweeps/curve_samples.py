@@ -5,6 +5,7 @@ from dataclasses import dataclass
 import numpy as np
 from jaxtyping import Bool, Float32, Float64, Int, Int64
 
+from recon.compiled import compiled
 from recon.sweeps.curve_table import CurveTable
 from recon.sweeps.stripe_peak import PeakWindows
 
@@ -39,15 +40,40 @@ class SweepCurves:
     def samples(self, pixels: Int[np.ndarray, " pixels"]) -> CurveSamples:
         """Make the samples of these pixels ready to fit."""
         windows, pattern = self.windows, self.table.pattern
-        counts = windows.samples[pixels]
-        peak = windows.peak_index[pixels].astype(np.int64)
-        usable = counts < self.clipped
-        at_end = np.flatnonzero((peak < windows.half_width) | (peak >= windows.photo_count - windows.half_width))
-        stripe = peak[at_end, None] + np.arange(-windows.half_width, windows.half_width + 1)
-        usable[at_end] &= (stripe >= 0) & (stripe < windows.photo_count)
+        shape = (len(pixels), windows.samples.shape[1])
+        height, usable = np.empty(shape, dtype=np.float32), np.empty(shape, dtype=bool)
+        peak = np.empty(len(pixels), dtype=np.int64)
+        counts = (windows.samples, windows.peak_index, self.black)
+        write_samples(pixels, *counts, self.clipped, windows.photo_count, height, usable, peak)
         return CurveSamples(
-            height=np.subtract(counts, self.black[pixels, None], dtype=np.float32),
+            height=height,
             usable=usable,
             peak=peak,
             peak_px=pattern.first_px + pattern.step_px * peak.astype(np.float64),
         )
+
+
+@compiled
+def write_samples(
+    pixels: np.ndarray,
+    samples: np.ndarray,
+    peak_index: np.ndarray,
+    black: np.ndarray,
+    clipped: int,
+    photo_count: int,
+    height: np.ndarray,
+    usable: np.ndarray,
+    peak: np.ndarray,
+) -> None:
+    """Write some pixels' heights above black, which of them may be used, and the numbers of the photos in the middle."""
+    count = samples.shape[1]
+    half = count // 2
+    for number in range(len(pixels)):
+        # Indices without a sign: those with one are searched for negative ones.
+        pixel = np.uintp(pixels[number])
+        middle, dark = np.int64(peak_index[pixel]), np.float32(black[pixel])
+        peak[number] = middle
+        for s in range(np.uintp(count)):
+            sample, photo = samples[pixel, s], middle + np.int64(s) - half
+            height[number, s] = np.float32(sample) - dark
+            usable[number, s] = sample < clipped and 0 <= photo < photo_count

@@ -13,6 +13,7 @@ import numpy as np
 from jaxtyping import Bool, Float32, Float64, Int64
 from scipy.fft import irfft, next_fast_len, rfft, rfftfreq
 
+from recon.compiled import compiled
 from recon.patterns.sweep_frames import device_brightness
 from recon.sessions.manifest import StripePattern
 from recon.sweeps.stripe_model import UNIT_BOX, footprint_average
@@ -64,14 +65,17 @@ class CurveTable:
     slope: Curves
     filled: Bool[np.ndarray, "shapes nodes"]
 
-    def fill_about(self, shape: Int64[np.ndarray, " pixels"], log_width: Float64[np.ndarray, " pixels"]) -> None:
-        """Compute the curves of these shapes whose widths are next to these, to either side."""
-        below = ((log_width - self.log_width[0]) / NODE_SPACING).astype(np.int64)
-        nodes = len(self.log_width)
+    def fill_about(
+        self,
+        shape: Int64[np.ndarray, " pixels"],
+        log_width: Float64[np.ndarray, " pixels"],
+        rows: Int64[np.ndarray, " some"] | None = None,
+    ) -> None:
+        """Compute the curves of these shapes whose widths are next to these, to either side; of some ``rows`` or of all."""
+        rows = np.arange(len(shape)) if rows is None else rows
         wanted = np.zeros_like(self.filled)
-        wanted.ravel()[shape * nodes + np.clip(below, 0, nodes - 2)] = True
-        wanted[:, 1:] |= wanted[:, :-1]
-        self.fill(wanted)
+        if mark_missing(rows, shape, log_width, float(self.log_width[0]), NODE_SPACING, self.filled, wanted):
+            self.fill(wanted)
 
     def fill(self, wanted: Bool[np.ndarray, "shapes nodes"]) -> None:
         """Compute the curves that are wanted, where that has not been done."""
@@ -105,6 +109,29 @@ class CurveTable:
         """Return the number of the width node nearest to each width."""
         number = np.rint((log_width - self.log_width[0]) / NODE_SPACING)
         return np.clip(number, 0, len(self.log_width) - 1).astype(np.int64)
+
+
+@compiled
+def mark_missing(
+    rows: np.ndarray,
+    shape: np.ndarray,
+    log_width: np.ndarray,
+    thinnest: float,
+    spacing: float,
+    filled: np.ndarray,
+    wanted: np.ndarray,
+) -> bool:
+    """Mark the curves [shapes, nodes] beside the widths of some rows that are not filled in; return whether there are any."""
+    last = filled.shape[1] - 2
+    some = False
+    for row in rows:
+        below = (log_width[row] - thinnest) / spacing
+        # What is no number has a place in the table, too.
+        node = min(int(below), last) if below > 0.0 else 0
+        for one in (node, node + 1):
+            if not filled[shape[row], one]:
+                wanted[shape[row], one] = some = True
+    return some
 
 
 @lru_cache(maxsize=4)

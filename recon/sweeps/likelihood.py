@@ -140,7 +140,8 @@ def _cut_off(curves: SweepCurves, pixels: np.ndarray) -> Bool[np.ndarray, " pixe
     """Return which curves are not down at an end of their window that lies within the sweep."""
     windows = curves.windows
     half = windows.half_width
-    first, peak, last = windows.samples[pixels][:, [0, half, -1]].T.astype(np.float32) - curves.black[pixels]
+    black = curves.black[pixels].astype(np.float32)
+    first, peak, last = (windows.samples[pixels, column] - black for column in (0, half, 2 * half))
     number = windows.peak_index[pixels]
     before, after = number >= half, number < windows.photo_count - half
     return (before & (first > CUT_OFF_LEVEL * peak)) | (after & (last > CUT_OFF_LEVEL * peak))

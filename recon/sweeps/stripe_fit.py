@@ -92,7 +92,7 @@ def _fit_block(
     fit = np.empty((len(flat), len(StripeFit.__slots__)))
     _walk(fit, np.flatnonzero(~flat), place_px, pixels, table=table, weigh=True)
     if len(angular):
-        table.fill_about(prior.shape[angular], prior.log_width[angular])
+        table.fill_about(prior.shape, prior.log_width, angular)
         weigh_pixels(angular, pixels, place_px, table_arrays(table))
         spread, spacing_px = _spread(angular, place_px, pixels, table=table)
         # On a flat top the walk has nothing to go by: it begins where the finer grid is best.
@@ -118,7 +118,7 @@ def _walk(
     for step in range(GAUSS_NEWTON_STEPS):
         if not len(moving):
             break
-        table.fill_about(pixels.shape[moving], log_width[moving])
+        table.fill_about(pixels.shape, log_width, moving)
         left = step_pixels(
             moving, pixels, table_arrays(table), place_px, log_width, objective, fit, weigh and step == 0
         )
