@@ -86,7 +86,7 @@ def decode_sweep(
     tracker = PeakTracker(floor, half_width=half_width, second=method == "full")
     photos = _stream(session, capture_set, axis, tracker.feed, clipped=saturation_count(black), on_photo=on_photo)
     windows = tracker.finish()
-    del tracker
+    del tracker, floor
     give_back_free_memory()
     clipped = saturation_count(black)
     if method == "paper":
@@ -230,9 +230,10 @@ def place_by_likelihood(
     from recon.sweeps.likelihood import places_by_likelihood
 
     status = _status(windows, black.shape)
+    pixels = np.flatnonzero(status == PixelStatus.OK).astype(np.int32)
     places = places_by_likelihood(
         windows,
-        np.flatnonzero(status == PixelStatus.OK).astype(np.int32),
+        pixels,
         pattern,
         black=black,
         dark_variance=dark,
@@ -240,7 +241,9 @@ def place_by_likelihood(
         continuous=continuous,
     )
     status[(status == PixelStatus.OK) & np.isnan(places.place_px)] = PixelStatus.BAD_FIT
-    half = less_than_half_seen(places.light, status != PixelStatus.UNLIT) & np.isfinite(places.place_px)
+    light = np.full(black.shape, np.nan, dtype=np.float32)
+    light.ravel()[pixels] = places.light
+    half = less_than_half_seen(light, status != PixelStatus.UNLIT) & np.isfinite(places.place_px)
     kept = ~half.ravel()[places.twice]
     second_px, second_sd_px = None, None
     if kept.any():

@@ -14,6 +14,7 @@ from jaxtyping import Bool, Float32, Float64, Int64
 from scipy.fft import irfft, next_fast_len, rfft, rfftfreq
 
 from recon.compiled import compiled
+from recon.memory import zeros_taken_when_written
 from recon.patterns.sweep_frames import device_brightness
 from recon.sessions.manifest import StripePattern
 from recon.sweeps.stripe_model import UNIT_BOX, footprint_average
@@ -151,8 +152,9 @@ def curve_table(pattern: StripePattern, *, half_width: int, continuous: bool) ->
     pad = half_width + 1
     alignments, alignment_of = _alignments(pattern, pad=pad, continuous=continuous)
     entries = round(2 * reach / spacing) + 1 + 2 * pad * round(step / spacing)
-    # Pages of memory that no shape fills are never taken.
-    value, slope = (np.zeros((len(SHAPES), nodes, len(alignments), entries), dtype=np.float32) for _ in range(2))
+    # Most shapes are never filled in.
+    size = (len(SHAPES), nodes, len(alignments), entries)
+    value, slope = (zeros_taken_when_written(size, np.float32) for _ in range(2))
     return CurveTable(
         pattern=pattern,
         continuous=continuous,

@@ -36,7 +36,7 @@ class LikelihoodPlaces:
     """Maps of the places and of their sds in device pixels, NaN where there is no good fit, and the fits behind them.
 
     The stripe lit the pixels ``twice``; ``second_px`` and ``second_sd_px`` are those of the path with less light. ``light`` is
-    the fitted amplitude, and ``misfit`` the median of chi-square over degrees of freedom.
+    the fitted amplitude of each listed pixel, and ``misfit`` the median of chi-square over degrees of freedom.
     """
 
     place_px: Float32[np.ndarray, "rows cols"]
@@ -44,7 +44,7 @@ class LikelihoodPlaces:
     twice: Int[np.ndarray, " twice"]
     second_px: Float64[np.ndarray, " twice"]
     second_sd_px: Float64[np.ndarray, " twice"]
-    light: Float32[np.ndarray, "rows cols"]
+    light: Float32[np.ndarray, " pixels"]
     misfit: float
     fits: CurveFits
 
@@ -81,10 +81,10 @@ def places_by_likelihood(
     curves = SweepCurves(windows, table, black.ravel(), clipped)
     fits = prepared_fits(curves, pixels, grid=black.shape, dark_variance=dark_variance)
     give_back_free_memory()
-    place_px, sd_px, light = (np.full(black.shape, np.nan, dtype=np.float32) for _ in range(3))
-    reach_px = np.full(black.shape, np.nan, dtype=np.float16)
+    place_px, sd_px = (np.full(black.shape, np.nan, dtype=np.float32) for _ in range(2))
     # What no map is returned of is kept for the listed pixels alone: often these are a small part of the photo.
-    misfit, freedom, width_px = (np.empty(len(pixels), dtype=np.float32) for _ in range(3))
+    misfit, freedom, width_px, light = (np.empty(len(pixels), dtype=np.float32) for _ in range(4))
+    reach_px = np.full(len(pixels), np.nan, dtype=np.float16)
     unresolved: list[tuple[np.ndarray, np.ndarray]] = []
     twice, second_px, second_sd_px, second_width_px = [pixels[:0]], [np.empty(0)], [np.empty(0)], [np.empty(0)]
     for low in range(0, len(pixels), PIXELS_AT_ONCE):
@@ -96,13 +96,13 @@ def places_by_likelihood(
         cut_off[two.rows] = False
         good = good_fit(fit, pattern, noise=fits.noise) & ~cut_off
         misfit[rows], freedom[rows], width_px[rows] = fit.chi_square / fit.freedom, fit.freedom, np.exp(fit.log_width)
-        light.ravel()[part] = fit.amplitude
+        light[rows] = fit.amplitude
         place_px.ravel()[part[good]], sd_px.ravel()[part[good]] = fit.place_px[good], fit.sd_px[good]
         unsure = unresolved_px(fit, prior)
         unsure[two.rows] = 0.0
         unresolved.append((part[unsure > 0], unsure[unsure > 0].astype(np.float32)))
         flat = np.exp(prior.log_width) < angular_px(table)
-        reach_px.ravel()[part[flat]] = fits.footprints.box_px[rows][flat].sum(axis=1)
+        reach_px[rows][flat] = fits.footprints.box_px[rows][flat].sum(axis=1)
         twice.append(part[two.rows])
         second_px.append(two.second.place_px)
         second_width_px.append(np.exp(two.second.log_width))
@@ -123,7 +123,9 @@ def places_by_likelihood(
     trusted = np.ones(black.shape, dtype=bool)
     for doubled in (*twice, *(unsure_pixels for unsure_pixels, _ in unresolved)):
         trusted.ravel()[doubled] = False
-    place_px, sd_px = told_by_neighbours(place_px, sd_px, trusted=trusted, reach_px=reach_px)
+    reach_map_px = np.full(black.shape, np.nan, dtype=np.float16)
+    reach_map_px.ravel()[pixels] = reach_px
+    place_px, sd_px = told_by_neighbours(place_px, sd_px, trusted=trusted, reach_px=reach_map_px)
     return LikelihoodPlaces(
         place_px=place_px,
         sd_px=sd_px,
