@@ -14,7 +14,7 @@ from recon.sessions.photos import Counts, read_grey, saturation_count
 from recon.sessions.session import Session
 from recon.status import PixelStatus
 from recon.sweeps.curve_reach import curve_half_width
-from recon.sweeps.half_seen import less_than_half_seen
+from recon.sweeps.half_seen import half_seen_of
 from recon.sweeps.noise import NoiseModel, dark_variance
 from recon.sweeps.sample_curves import sample_curves
 from recon.sweeps.stripe_peak import NO_PEAK, PeakWindows, parabola_offset
@@ -241,9 +241,7 @@ def place_by_likelihood(
         continuous=continuous,
     )
     status[(status == PixelStatus.OK) & np.isnan(places.place_px)] = PixelStatus.BAD_FIT
-    light = np.full(black.shape, np.nan, dtype=np.float32)
-    light.ravel()[pixels] = places.light
-    half = less_than_half_seen(light, status != PixelStatus.UNLIT) & np.isfinite(places.place_px)
+    half = half_seen_of(places.light, pixels, status != PixelStatus.UNLIT) & np.isfinite(places.place_px)
     kept = ~half.ravel()[places.twice]
     second_px, second_sd_px = None, None
     if kept.any():

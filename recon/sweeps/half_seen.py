@@ -6,7 +6,7 @@ through a pixel darkens its centre where it leaves less than half of the light.
 
 import cv2
 import numpy as np
-from jaxtyping import Bool, Float
+from jaxtyping import Bool, Float, Int
 
 HALF = 0.5
 # An edge is at most this far from the first dark pixel, since lens and sensor blur it.
@@ -14,6 +14,27 @@ EDGE_REACH_PX = 2
 # The light of a whole pixel is read from lit ones farther than that from the dark, in a window of this size.
 WINDOW_PX = 9
 FEWEST_WHOLE = 3
+BAND_ROWS = 256
+
+
+def half_seen_of(
+    light: Float[np.ndarray, " pixels"], pixels: Int[np.ndarray, " pixels"], lit: Bool[np.ndarray, "rows cols"]
+) -> Bool[np.ndarray, "rows cols"]:
+    """Return what :func:`less_than_half_seen` does, a band of rows at a time, of the light of pixels in ascending order."""
+    rows, cols = lit.shape
+    # So far away a pixel can be dark that keeps another from being whole, whose light would count.
+    margin = EDGE_REACH_PX + WINDOW_PX // 2
+    half = np.zeros(lit.shape, dtype=bool)
+    for low in range(0, rows, BAND_ROWS):
+        above, below = max(low - margin, 0), min(low + BAND_ROWS + margin, rows)
+        first, last = np.searchsorted(pixels, np.array([above * cols, below * cols], dtype=pixels.dtype))
+        if first == last:
+            continue
+        near = np.full((below - above, cols), np.nan, dtype=light.dtype)
+        near.ravel()[pixels[first:last] - above * cols] = light[first:last]
+        found = less_than_half_seen(near, lit[above:below])
+        half[low : low + BAND_ROWS] = found[low - above :][:BAND_ROWS]
+    return half
 
 
 def less_than_half_seen(

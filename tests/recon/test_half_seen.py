@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from recon.sweeps.half_seen import less_than_half_seen
+from recon.sweeps.half_seen import BAND_ROWS, half_seen_of, less_than_half_seen
 
 
 def share_lit(shape: tuple[int, int], edge_px: float) -> np.ndarray:
@@ -30,3 +30,16 @@ def test_nothing_is_said_of_a_thread_of_light_without_whole_pixels_beside_it() -
     lit = np.zeros((30, 30), dtype=bool)
     lit[:, 15] = True
     assert not less_than_half_seen(np.where(lit, 50.0, np.nan), lit).any()
+
+
+def test_a_photo_in_bands_has_the_same_pixels_half_seen() -> None:
+    rng = np.random.default_rng(3)
+    row, col = np.mgrid[: BAND_ROWS + 40, :60]
+    # A leaning edge, spots of dark, and some light that is not known, on both sides of where two bands meet.
+    share = np.clip(20.3 + (row - BAND_ROWS) / 7 - (col - 0.5), 0.0, 1.0)
+    share[rng.uniform(size=share.shape) < 0.01] = 0.0
+    light = np.where((share > 0) & (rng.uniform(size=share.shape) > 0.02), 200.0 * share, np.nan)
+    whole = less_than_half_seen(light, share > 0)
+    pixels = np.flatnonzero(np.isfinite(light))
+    assert whole[BAND_ROWS - 8 : BAND_ROWS + 8].any()
+    np.testing.assert_array_equal(half_seen_of(light.ravel()[pixels], pixels, share > 0), whole)
