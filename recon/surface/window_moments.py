@@ -1,7 +1,8 @@
 """Compiled loops of the polynomials over square windows: moments of the heights, their sums over windows, and what follows.
 
-Every loop runs along a row of the map, so that a core does several pixels at a time. Sums are taken term by term, since a running
-sum would leave the rounding of large weights on small ones; those over three pixels are kept, and make those over nine.
+Every loop runs along a row of the map, so that a core does several pixels at a time, and where it can along all of its layers.
+Sums are taken term by term, since a running sum would leave the rounding of large weights on small ones; those over three pixels
+are kept, and make those over nine.
 """
 
 import numpy as np
@@ -10,8 +11,10 @@ from recon.compiled import compiled
 
 TERMS = 6
 PAIRS = TERMS * (TERMS + 1) // 2
-# About the map, so that a window of three about a pixel just outside can be asked for.
+# Above and below the map, so that a window of three about a pixel just outside can be asked for.
 BORDER_PX = 1
+# Beside it, so that a sum over columns takes none of the next layer: as many as offsets may reach.
+MARGIN_PX = 4
 # Keeps a window without six independent places solvable; its variance then tells that it knows nothing.
 RIDGE = 1e-12
 TINY = np.finfo(float).tiny
@@ -34,7 +37,7 @@ def write_moments(p: np.ndarray, q: np.ndarray, fields: np.ndarray, weight: np.n
     rows, cols = p.shape
     terms, weighted = np.ones((TERMS, cols)), np.empty((TERMS, cols))
     for row in range(rows):
-        own = layers[row + BORDER_PX, :, BORDER_PX : BORDER_PX + cols]
+        own = layers[row + BORDER_PX, :, MARGIN_PX : MARGIN_PX + cols]
         for col in range(cols):
             along, down = p[row, col], q[row, col]
             terms[1, col], terms[2, col] = along, down
@@ -66,31 +69,33 @@ def write_moments(p: np.ndarray, q: np.ndarray, fields: np.ndarray, weight: np.n
 def sum_row(layers: np.ndarray, row: int, offsets: np.ndarray, line: np.ndarray, total: np.ndarray) -> None:
     """Sum one row of the layers over rows and columns at these offsets from each pixel, as far as they are within the layers.
 
-    ``line`` is room for the sum over rows, with as many zeros at either end as the offsets reach.
+    All layers of a row are summed as one line, from which the margins keep them apart. ``line`` is room for the sum over rows,
+    with MARGIN_PX zeros at either end.
     """
     rows, count, cols = layers.shape
-    reach = (len(line) - cols) // 2
-    middle = line[reach : reach + cols]
-    for layer in range(count):
-        middle[:] = 0.0
-        for offset in offsets:
-            if 0 <= row + offset < rows:
-                other = layers[row + offset, layer]
-                for col in range(cols):
-                    middle[col] += other[col]
-        here = total[layer]
-        here[:] = 0.0
-        for offset in offsets:
-            beside = line[reach + offset : reach + offset + cols]
-            for col in range(cols):
-                here[col] += beside[col]
+    length = count * cols
+    middle, here = line[MARGIN_PX : MARGIN_PX + length], total.reshape(length)
+    middle[:] = 0.0
+    for offset in offsets:
+        if 0 <= row + offset < rows:
+            add_to(middle, layers[row + offset].reshape(length))
+    here[:] = 0.0
+    for offset in offsets:
+        add_to(here, line[MARGIN_PX + offset : MARGIN_PX + offset + length])
+
+
+@compiled
+def add_to(total: np.ndarray, more: np.ndarray) -> None:
+    """Add one line to another, in place."""
+    for place in range(len(total)):
+        total[place] += more[place]
 
 
 @compiled
 def sum_windows(layers: np.ndarray, offsets: np.ndarray, result: np.ndarray) -> None:
     """Sum all rows as :func:`sum_row` does one."""
-    rows, _, cols = layers.shape
-    line = np.zeros(cols + 2 * np.abs(offsets).max())
+    rows, count, cols = layers.shape
+    line = np.zeros(count * cols + 2 * MARGIN_PX)
     for row in range(rows):
         sum_row(layers, row, offsets, line, result[row])
 
@@ -113,9 +118,8 @@ def fit_windows_of(
     rows, cols = misfit.shape
     draws = len(drawn_misfit)
     ridge = np.empty(cols)
-    padded = layers.shape[2]
-    line, total = np.zeros(padded + 2 * np.abs(offsets).max()), np.empty((layers.shape[1], padded))
-    own = total[:, BORDER_PX : BORDER_PX + cols]
+    line, total = np.zeros(layers.shape[1] * layers.shape[2] + 2 * MARGIN_PX), np.empty(layers.shape[1:])
+    own = total[:, MARGIN_PX : MARGIN_PX + cols]
     for row in range(rows):
         sum_row(layers, row + BORDER_PX, offsets, line, total)
         lower, half, own_misfit = factor[row], drawn[row], misfit[row]
@@ -148,13 +152,10 @@ def fit_windows_of(
             for col in range(cols):
                 coefficients[first, row, col] /= pivot[col]
             subtract_product(own_misfit, coefficients[first, row], coefficients[first, row])
-            for number in range(draws):
-                half[first, number] = own[place + 1 + number]
-                for k in range(first):
-                    subtract_product(half[first, number], lower[start + k], half[k, number])
-                for col in range(cols):
-                    half[first, number, col] /= pivot[col]
-                subtract_product(drawn_misfit[number, row], half[first, number], half[first, number])
+            half[first] = own[place + 1 : place + 1 + draws]
+            for k in range(first):
+                subtract_products(half[first], lower[start + k], half[k])
+            finish_term(half[first], pivot, drawn_misfit[:, row])
         for first in range(TERMS - 1, -1, -1):
             for k in range(first + 1, TERMS):
                 subtract_product(coefficients[first, row], lower[k * (k + 1) // 2 + first], coefficients[k, row])
@@ -168,6 +169,23 @@ def subtract_product(result: np.ndarray, one: np.ndarray, other: np.ndarray) -> 
     """Take the product of two rows from a third, in place."""
     for col in range(len(result)):
         result[col] -= one[col] * other[col]
+
+
+@compiled
+def subtract_products(result: np.ndarray, one: np.ndarray, other: np.ndarray) -> None:
+    """Take the product of a row and each of some rows from each of some others, in place."""
+    for number in range(len(result)):
+        for col in range(len(one)):
+            result[number, col] -= one[col] * other[number, col]
+
+
+@compiled
+def finish_term(half: np.ndarray, pivot: np.ndarray, misfit: np.ndarray) -> None:
+    """Divide a term of every draw by the pivot, and take its square from the draw's misfit."""
+    for number in range(len(half)):
+        for col in range(len(pivot)):
+            half[number, col] /= pivot[col]
+            misfit[number, col] -= half[number, col] * half[number, col]
 
 
 @compiled

@@ -9,6 +9,7 @@ from jaxtyping import Float64, Int64
 from recon.surface.window_moments import (
     BORDER_PX,
     LARGEST,
+    MARGIN_PX,
     PAIRS,
     TERMS,
     fit_windows_of,
@@ -101,11 +102,13 @@ def fit_windows(
         What to fit, and draws of its error.
     weight
         How much a pixel counts; 0 leaves it out.
+    half_widths
+        No larger than the margin of the moments, 4.
     """
     rows, cols = p.shape
     p, q, weight = (np.ascontiguousarray(each) for each in (p, q, weight))
     fields = np.concatenate([height[None], draws])
-    layers = np.zeros((rows + 2 * BORDER_PX, layers_of(len(fields)), cols + 2 * BORDER_PX))
+    layers = np.zeros((rows + 2 * BORDER_PX, layers_of(len(fields)), cols + 2 * MARGIN_PX))
     write_moments(p, q, fields, weight, layers)
     threes = layers
     if NINE in half_widths:
@@ -120,7 +123,7 @@ def fit_windows(
 
 def _fitted(layers: Layers, offsets: Int64[np.ndarray, " offsets"], *, draws: int) -> WindowFit:
     """Fit over the windows that hold the pixels at these offsets along rows and columns."""
-    rows, cols = layers.shape[0] - 2 * BORDER_PX, layers.shape[2] - 2 * BORDER_PX
+    rows, cols = layers.shape[0] - 2 * BORDER_PX, layers.shape[2] - 2 * MARGIN_PX
     fit = WindowFit(
         coefficients=np.empty((TERMS, rows, cols)),
         factor=np.empty((rows, PAIRS, cols)),
