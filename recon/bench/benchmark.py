@@ -20,6 +20,8 @@ LIBRARIES = ("numpy", "scipy", "numba", "opencv-contrib-python-headless", "simpl
 LARGEST_STACK_SHARE = 0.5
 # So many photos tell by themselves what one more costs, and naive scripts, whose cost is the same for every photo, take too long.
 LONG = 300
+# A photo that is large enough for every loop to be called, so that it is compiled before anything is timed.
+FIRST_COLUMNS, FIRST_PHOTOS = 384, 60
 
 OURS = (PAPER, FULL)
 NAIVE = (RUNNING, STACK)
@@ -78,7 +80,13 @@ def benchmark(
             notes.append(f"{STACK} was left out: it needs {stack_bytes / 1e9:.3g} GB")
         tasks += [(short[0], one, 1) for one in ours]
     found = []
+    (first,) = kept_or_written(
+        folder / "first", columns=FIRST_COLUMNS, photos=FIRST_PHOTOS, photo_bytes=wanted[middle : middle + 1], seed=seed
+    )
     with own_processes() as processes:
+        say("a small sweep first, so that every loop is compiled before anything is timed")
+        for contestant in ours:
+            measured(processes, first, contestant, threads=1)
         for session, contestant, threads in tasks:
             say(f"{contestant}: {session.photos} photos of {session.file_mb:.3g} MB, threads {threads}")
             map_file = map_of(folder, contestant) if session is usual and threads == 1 and not long else None

@@ -11,11 +11,11 @@ import numpy as np
 
 from recon.batch.own_processes import OwnProcesses, WorkerLostError
 from recon.bench.bench_scene import ASPECT
-from recon.bench.benchmark import LIBRARIES, PAPER_PIXELS
+from recon.bench.benchmark import FIRST_COLUMNS, FIRST_PHOTOS, LIBRARIES, PAPER_PIXELS
 from recon.bench.machine import machine
 from recon.bench.run_result import FoundSurface, RunBenchResult, RunPhotos, RunStage
 from recon.bench.run_scene import radial_error_mm
-from recon.bench.run_session import kept_or_written
+from recon.bench.run_session import RunSession, kept_or_written
 from recon.errors import ReconError
 from recon.maps import MAPS_NAME, load_maps
 from recon.metrics import StageTime
@@ -28,6 +28,8 @@ from recon.sweeps.correspondence import Method
 
 DECODING, RUN = "decoding alone", "recon run"
 RESULT_NAME = "result"
+# More pixels than are fitted without a lattice, and than are factorised.
+FIRST_MEGAPIXELS = 0.03
 
 
 def run_benchmark(
@@ -58,20 +60,34 @@ def run_benchmark(
         seed=seed,
         say=say,
     )
+    first = kept_or_written(
+        folder / "first",
+        columns=FIRST_COLUMNS,
+        photos=FIRST_PHOTOS,
+        object_megapixels=FIRST_MEGAPIXELS,
+        photo_bytes=photo_mb * 1e6,
+        seed=seed,
+        say=lambda _: None,
+    )
     with OwnProcesses(1, threads=threads, preload=(__name__,)) as processes:
 
-        def measured(what: Callable[..., tuple[RunStage, ...]], *given: object) -> tuple[RunStage, ...]:
-            say(f"{what.__doc__.splitlines()[0] if what.__doc__ else ''} Threads: {threads}")
+        def measured(
+            what: Callable[..., tuple[RunStage, ...]], session: RunSession, *given: object
+        ) -> tuple[RunStage, ...]:
             try:
-                found: tuple[RunStage, ...] = processes.submit(what, made.folder, *given).result()
+                found: tuple[RunStage, ...] = processes.submit(what, session.folder, *given).result()
             except WorkerLostError as error:
                 raise ReconError(
                     f"the measurement was ended from outside ({error}); memory may be short: try fewer photos or a smaller size"
                 ) from None
             return found
 
-        (decoding,) = measured(_decode, threads)
-        *stages, run = measured(_run, folder / RESULT_NAME, method, threads)
+        say("a small session first, so that every loop is compiled before anything is timed")
+        measured(_run, first, folder / "first" / RESULT_NAME, method, threads)
+        say(f"decoding every photo, one sweep a thread, threads {threads}")
+        (decoding,) = measured(_decode, made, threads)
+        say(f"running the whole reconstruction, threads {threads}")
+        *stages, run = measured(_run, made, folder / RESULT_NAME, method, threads)
     return RunBenchResult(
         command=command,
         machine=before.model_copy(update={"load_after": machine().load_before}),

@@ -103,8 +103,15 @@ def fit_windows(
     weight
         How much a pixel counts; 0 leaves it out.
     half_widths
-        No larger than the margin of the moments, 4.
+        No larger than ``MARGIN_PX``.
+
+    Raises
+    ------
+    ValueError
+        For a larger half-width, whose sums would reach beyond the margin.
     """
+    if max(half_widths) > MARGIN_PX:
+        raise ValueError(f"windows may reach {MARGIN_PX} pixels, not {max(half_widths)}")
     rows, cols = p.shape
     p, q, weight = (np.ascontiguousarray(each) for each in (p, q, weight))
     fields = np.concatenate([height[None], draws])

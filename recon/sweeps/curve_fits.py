@@ -138,19 +138,10 @@ def _boxes(
     widths = gradient.reshape(-1, 2)[pixels]
     np.abs(widths, out=widths)
     # A gradient has both of its parts or neither.
-    unknown = np.flatnonzero(np.isnan(widths[:, 0]))
-    if len(unknown):
-        widths[unknown] = [_median_of_the_known(one, len(pixels) - len(unknown)) for one in widths.T]
+    unknown = np.isnan(widths[:, 0])
+    if unknown.any():
+        widths[unknown] = 0.5 if unknown.all() else np.nanmedian(widths, axis=0)
     return widths
-
-
-def _median_of_the_known(values: Float32[np.ndarray, " pixels"], known: int) -> float:
-    """Return the median of so many values, the others being NaN; a half where there are none."""
-    if not known:
-        return 0.5
-    middle = [(known - 1) // 2, known // 2]
-    # No number is put behind all numbers.
-    return float(np.mean(np.partition(values, middle)[middle]))
 
 
 def _lattice(pixels: np.ndarray, grid: tuple[int, int]) -> tuple[Int64[np.ndarray, " some"], int]:

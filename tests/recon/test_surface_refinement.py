@@ -67,6 +67,12 @@ def test_variance_in_the_middle_of_a_window_is_that_of_the_closed_form() -> None
     assert fit.value_variance(p, q)[4, 4] == pytest.approx(27 / 175, rel=1e-9)
 
 
+def test_a_window_wider_than_the_margin_of_its_sums_is_refused() -> None:
+    flat = np.zeros((9, 9))
+    with pytest.raises(ValueError, match="may reach 4 pixels, not 5"):
+        list(fit_windows(flat, flat, flat, flat[None], flat, half_widths=(2, 5)))
+
+
 def test_slopes_of_a_surface_that_bends_ever_more_lose_the_bias_of_their_window_and_keep_it_as_left_without_draws() -> (
     None
 ):
