@@ -50,9 +50,12 @@ class Motor:
         return self.prompt in PROMPT.values()
 
     def heard(self) -> None:
-        """Start the Safe-mode time-out anew: a valid packet came."""
+        """Start the Safe-mode time-out anew: a valid packet came, which does not hold up the head."""
         self._heard_s = self._world.clock.now_s()
-        self.turn_on()
+        if self.turning() and not self._world.extend_flow(
+            volume_ml=self._counted_ml + self._left_ml, until_s=self._silent_at_s()
+        ):
+            self.turn_on()
 
     def begin(self, number: int) -> None:
         """Run phase ``number`` from its beginning; a phase that stops ends the program."""

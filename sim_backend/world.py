@@ -140,6 +140,18 @@ class World:
             runs_s = min(volume_ml / rate_ml_per_s, max_run_s)
             self._change(flow=Flow(direction, rate_ml_per_s, self.clock.now_s(), runs_s), turned_ml=0.0)
 
+    def extend_flow(self, *, volume_ml: float, until_s: float) -> bool:
+        """Let the pump turn on without a pause, to another volume since its start and time; False where it stands already."""
+        with self._lock:
+            flow = self._state.flow
+            if flow is None:
+                return False
+            runs_s = min(volume_ml / flow.rate_ml_per_s, until_s - flow.started_s)
+            self._state = replace(self._state, flow=replace(flow, runs_s=runs_s))
+            self._advance()
+            self._change()
+            return True
+
     def stop_flow(self) -> None:
         """Stop the pump where it is; harmless when it stands."""
         with self._lock:

@@ -5,6 +5,7 @@ import binascii
 import pytest
 from pump_bench import dry_world
 
+from sim_backend.clock import SimulatedClock
 from sim_backend.new_era_emulator import NewEraEmulator
 from sim_backend.new_era_memory import Memory, Phase
 from sim_backend.world import World
@@ -129,6 +130,28 @@ def test_a_host_is_silent_in_its_own_time_however_fast_the_world_runs(world: Wor
     world.clock.sleep_s(600.0)
     assert pump.poll() == packed("00A?T")
     assert world.state().tank_ml == pytest.approx(580.0)  # 80 s, then 5 s of the host, at 1 ml/s
+
+
+class SlowMachine(SimulatedClock):
+    """Time goes on between any two steps of a program: here by a hundredth of a second."""
+
+    def now_s(self) -> float:
+        self.sleep_s(0.01)
+        return super().now_s()
+
+
+def test_a_packet_in_safe_mode_does_not_hold_up_the_head() -> None:
+    world = dry_world(SlowMachine())
+    pump = NewEraEmulator(world)
+    start_fill(pump, "0")
+    assert pump.receive(packed("SAF5")) == packed("00I")
+    since_s, had_ml = world.clock.now_s(), world.state().tank_ml
+    for _ in range(50):
+        world.clock.sleep_s(1.0)
+        assert pump.receive(packed("")) == packed("00I")
+    # One millilitre a second; the two readings at either end are some hundredths of a second apart.
+    elapsed_s = world.clock.now_s() - since_s
+    assert world.state().tank_ml - had_ml == pytest.approx(elapsed_s, abs=0.1)
 
 
 def test_safe_mode_survives_the_power_but_its_timer_waits_for_the_first_packet(
