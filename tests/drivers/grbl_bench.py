@@ -4,9 +4,10 @@ import threading
 import time
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 
 import numpy as np
+from stage_bench import wait_for_those_aside
 
 from drivers.grbl_stage import GrblStage
 from drivers.protocols import Frame
@@ -25,6 +26,7 @@ class Rig:
     wire: WireServer
     world: World
     sent: list[bytes]
+    aside: list[threading.Thread] = field(default_factory=list)
 
 
 def at_place(stage_mm: float = 37.0) -> World:
@@ -55,7 +57,10 @@ def build(prepare: Callable[[GrblEmulator], None] | None = None, **of_emulator: 
 def opened(**settings: object) -> Iterator[Rig]:
     rig, wire = build(**settings)
     with wire, rig.stage:
-        yield rig
+        try:
+            yield rig
+        finally:
+            wait_for_those_aside(rig)
 
 
 @contextmanager
@@ -75,15 +80,3 @@ def wait_until(condition: Callable[[], bool]) -> None:
     while not condition():
         assert time.monotonic() < deadline_s
         time.sleep(0.005)
-
-
-def while_moving(rig: Rig, act: Callable[[], None]) -> None:
-    """Do ``act`` from the side as soon as the carriage is under way, once."""
-
-    def watch() -> None:
-        deadline_s = time.monotonic() + 10.0
-        while not rig.world.is_moving() and time.monotonic() < deadline_s:
-            time.sleep(0.001)
-        act()
-
-    threading.Thread(target=watch, daemon=True).start()

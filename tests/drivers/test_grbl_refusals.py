@@ -5,7 +5,8 @@ import time
 
 import pytest
 from faults_page import OperatorReads
-from grbl_bench import TRAVEL_MM, build, homed, open_fails, opened, wait_until, while_moving
+from grbl_bench import TRAVEL_MM, build, homed, open_fails, opened, wait_until
+from stage_bench import while_moving
 
 from drivers.errors import (
     DeviceAlarmError,

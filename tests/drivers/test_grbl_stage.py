@@ -4,7 +4,8 @@ import time
 
 import pytest
 from faults_page import OperatorReads
-from grbl_bench import TRAVEL_MM, at_place, homed, opened, while_moving
+from grbl_bench import TRAVEL_MM, at_place, homed, opened
+from stage_bench import while_moving
 
 from drivers.errors import (
     DeviceAlarmError,

@@ -1,14 +1,14 @@
 """The Zaber stage and each thing that goes wrong with one, with the sentence that the operator reads."""
 
 import threading
-import time
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass, field
 
 import numpy as np
 import pytest
 from faults_page import OperatorReads
+from stage_bench import wait_for_those_aside, while_moving
 
 from drivers.errors import (
     DeviceAlarmError,
@@ -46,6 +46,7 @@ class Rig:
     wire: PtyServer
     stage: ZaberStage
     sent: list[bytes] = field(default_factory=list)
+    aside: list[threading.Thread] = field(default_factory=list)
 
 
 def build(**settings: object) -> Rig:
@@ -68,7 +69,10 @@ def build(**settings: object) -> Rig:
 def opened(**settings: object) -> Iterator[Rig]:
     rig = build(**settings)
     with rig.wire, rig.stage:
-        yield rig
+        try:
+            yield rig
+        finally:
+            wait_for_those_aside(rig)
 
 
 @contextmanager
@@ -81,18 +85,6 @@ def homed(**settings: object) -> Iterator[Rig]:
 def open_fails(**settings: object) -> None:
     with opened(**settings):
         pass
-
-
-def while_moving(rig: Rig, act: Callable[[], None]) -> None:
-    """Do ``act`` from the side as soon as the carriage is under way, once."""
-
-    def watch() -> None:
-        deadline_s = time.monotonic() + 10.0
-        while not rig.world.is_moving() and time.monotonic() < deadline_s:
-            time.sleep(0.001)
-        act()
-
-    threading.Thread(target=watch, daemon=True).start()
 
 
 # The frame, with the examples of the manual and of zproto
