@@ -13,7 +13,7 @@ from recon.surface.lateral_places import LateralPlaces
 from recon.surface.noise_reference import NoiseReference
 from recon.surface.ray_chords import Mask, ScalarMap, VectorMap
 from recon.surface.window_bias import Slopes, without_bias
-from recon.surface.window_quadratic import WindowFit
+from recon.surface.window_quadratic import Lines, WindowFit
 
 # One in a thousand smooth normals is turned down for its noise.
 REJECTED_SHARE = 1e-3
@@ -23,7 +23,6 @@ REJECTED_WINDOWS = 1e-5
 INDEPENDENT_SHARE = 0.5
 # As many places as leave two more than a quadratic polynomial has terms.
 FEWEST_PLACES = 8
-NEWTON_STEPS = 4
 LARGEST_SQUARE = float(chi2.isf(REJECTED_SHARE, 1))
 # A window three pixels wide bends through a crease without a residual, but not without turning three of nine normals.
 CREASE_SHARE = 1 / 3 - 1e-6
@@ -33,8 +32,7 @@ CREASE_SHARE = 1 / 3 - 1e-6
 class Sight:
     """Where a tile's pixels look: a line along the sight through each lateral place, in the tile's own frame and unit."""
 
-    start: Float64[np.ndarray, "rows cols 3"]
-    sight: Float64[np.ndarray, " 3"]
+    lines: Lines
     across: Float64[np.ndarray, "2 3"]
     variance: Float64[np.ndarray, "2 rows cols"]
     error: Float32[np.ndarray, "2 draws rows cols"]
@@ -57,8 +55,7 @@ class Sight:
         # From the tile's own middle, so that Newton starts near the surface.
         offset = np.moveaxis(place, 0, -1) - lateral.axes[:2] @ middle_mm
         return cls(
-            start=offset @ lateral.axes[:2] @ frame.T / unit_mm,
-            sight=frame @ lateral.axes[2],
+            lines=Lines(offset @ lateral.axes[:2] @ frame.T / unit_mm, frame @ lateral.axes[2]),
             across=lateral.axes[:2] @ frame.T,
             variance=lateral.variance[(slice(None), *wide)] / unit_mm**2,
             error=lateral.error_mm[(slice(None), slice(None), *wide)] / np.float32(unit_mm),
@@ -98,16 +95,8 @@ def patch_of(
     normal of another place, and looking for the normal at the place that it tells puts much of that right. So ``noise`` is told
     of draws of both together.
     """
-    sight = place.sight
-    along = np.zeros(mask.shape)
-    for _ in range(NEWTON_STEPS):
-        point = place.start + along[..., None] * sight
-        height = fit.value(point[..., 0], point[..., 1])
-        slopes = fit.slopes(point[..., 0], point[..., 1])
-        rate = sight[2] - slopes[0] * sight[0] - slopes[1] * sight[1]
-        rate = np.where(np.abs(rate) > 1e-3, rate, np.copysign(1e-3, rate))
-        along = along + (height - point[..., 2]) / rate
-    point = place.start + along[..., None] * sight
+    sight, slopes = place.lines.sight, (fit.slope_p, fit.slope_q)
+    point = place.lines.start + fit.along[..., None] * sight
     length = np.sqrt(1 + slopes[0] ** 2 + slopes[1] ** 2)
     normal = _unit(-slopes[0], -slopes[1])
     facing = normal @ sight
@@ -122,14 +111,14 @@ def patch_of(
         bend_p = 2 * twice[3] * move[..., 0] + twice[4] * move[..., 1]
         bend_q = twice[4] * move[..., 0] + 2 * twice[5] * move[..., 1]
         turns += np.stack([bend_p * error, bend_q * error])
-    slope_p, slope_q, slope_variance = fit.drawn_slopes(point[..., 0], point[..., 1])
-    now = Slopes(np.stack([np.r_[slopes[0][None], slope_p], np.r_[slopes[1][None], slope_q]]), slope_variance)
+    slope_variance = fit.variance[1] + fit.variance[2]
+    now = Slopes(np.stack([np.r_[slopes[axis][None], fit.drawn[1 + axis]] for axis in (0, 1)]), slope_variance)
     clear, left = without_bias(now, before, trust, noise.depth_px, noise.within, half_width=half_width, smaller=smaller)
     noisy = clear[:, 1:] + turns
     noise_squared = noise.smoothed(
         _tilt_squared(noisy[0], noisy[1], normal, length).mean(axis=0), slope_variance, mask, half_width=half_width
     )
-    lifted = standard_deviation(fit.drawn_values(point[..., 0], point[..., 1]), mask) / length
+    lifted = standard_deviation(fit.drawn[0], mask) / length
     patch = Patch(
         point=point,
         normal=_unit(-clear[0, 0], -clear[1, 0]),
@@ -154,7 +143,7 @@ def _tilt_squared(slope_p: np.ndarray, slope_q: np.ndarray, normal: np.ndarray, 
 
 def beyond_noise(fit: WindowFit, mask: Mask) -> ScalarMap:
     """Return what the heights leave over the most that their noise may leave, which the draws show; NaN with too few places."""
-    expected = standard_deviation(np.sqrt(fit.drawn_misfit), mask) ** 2
+    expected = standard_deviation(np.sqrt(fit.drawn_misfit)[None], mask) ** 2
     largest = _largest_share(int(fit.count.max(initial=0)))[fit.count.astype(np.int64)]
     with np.errstate(invalid="ignore", divide="ignore"):
         return np.where(fit.count >= FEWEST_PLACES, fit.misfit / (largest * expected), np.nan)

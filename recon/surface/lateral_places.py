@@ -10,7 +10,7 @@ from scipy.stats import chi2
 
 from recon.surface.ray_chords import Mask, ScalarMap, VectorMap
 from recon.surface.tiles import Part, inside, tiles
-from recon.surface.window_quadratic import fit_windows
+from recon.surface.window_quadratic import Lines, fit_windows
 
 # Half-widths of the windows that are tried, each only where the one before it held.
 HALF_WIDTHS_PX = (2, 4)
@@ -65,6 +65,7 @@ def lateral_places(
         core, wide = tile
         inner = inside(core, wide)
         rows, columns = _grid(wide)
+        lines = Lines.upright(columns, rows)
         for axis in (0, 1):
             here, values = weight[axis][wide], measured[axis][wide]
             if not here.any():
@@ -72,20 +73,18 @@ def lateral_places(
             centred = np.where(here > 0, values - np.average(values, weights=here), 0.0)
             middle = values - centred
             held = here > 0
-            noise = (slide_mm[(slice(None), *wide)] @ axes[axis].astype(np.float32)).astype(np.float64)
-            fits = fit_windows(columns, rows, centred, noise, here, half_widths=HALF_WIDTHS_PX)
+            noise = slide_mm[(slice(None), *wide)] @ axes[axis].astype(np.float32)
+            fits = fit_windows(columns, rows, centred, noise, here, lines, half_widths=HALF_WIDTHS_PX, readings=1)
             for half_width, fit in zip(HALF_WIDTHS_PX, fits, strict=True):
                 freedom = fit.count - 6
                 held &= (freedom >= 3) & (
                     fit.misfit < _largest_misfit(half_width)[np.maximum(freedom, 1).astype(np.int64)]
                 )
-                found = (fit.value(columns, rows) + middle)[inner]
-                spread = fit.value_variance(columns, rows)[inner]
+                spread = fit.variance[0][inner]
                 better = held[inner] & (spread < left[axis][core])
-                place[axis][core] = np.where(better, found, place[axis][core])
-                drawn = fit.drawn_values(columns, rows)[(slice(None), *inner)]
-                error[(axis, slice(None), *core)] = np.where(better, drawn, error[(axis, slice(None), *core)])
-                left[axis][core] = np.where(better, spread, left[axis][core])
+                np.copyto(place[axis][core], (fit.along + middle)[inner], where=better)
+                np.copyto(error[(axis, slice(None), *core)], fit.drawn[(0, slice(None), *inner)], where=better)
+                np.copyto(left[axis][core], spread, where=better)
 
     with ThreadPoolExecutor(threads) as pool:
         list(pool.map(smooth, tiles(used, border=max(HALF_WIDTHS_PX))))

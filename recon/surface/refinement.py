@@ -132,7 +132,9 @@ def _refine_tile(
     local = np.where(fit_here[..., None], (fused.point_mm[wide] - middle) @ frame.T / unit_mm, 0.0)
     # An error of the distance lifts the surface along its normal; over the tile's plane it is that much higher.
     lift = (direction[wide] * normal[wide]).sum(axis=2) / np.where(fit_here, cosine, 1.0)
-    errors = np.where(fit_here, fused.distance_error_mm[(slice(None), *wide)] * lift / unit_mm, 0.0)
+    errors = np.where(
+        fit_here, fused.distance_error_mm[(slice(None), *wide)] * (lift / unit_mm).astype(np.float32), 0.0
+    )
     weight = fit_here.astype(np.float64)
     place = Sight.of(lateral, wide, middle_mm=middle, unit_mm=unit_mm, frame=frame)
     within = np.zeros(fit_here.shape, dtype=bool)
@@ -141,7 +143,8 @@ def _refine_tile(
     held, trust = fit_here.copy(), weight
     tilted = normal[wide] @ frame.T
     before = own_slopes(tilted, fit_here)
-    fits = fit_windows(local[..., 0], local[..., 1], local[..., 2], errors, weight, half_widths=HALF_WIDTHS_PX)
+    p, q, height = np.moveaxis(local, -1, 0)
+    fits = fit_windows(p, q, height, errors, weight, place.lines, half_widths=HALF_WIDTHS_PX, readings=3)
     for (smaller, half_width), fit in zip(pairwise((0, *HALF_WIDTHS_PX)), fits, strict=True):
         beyond = beyond_noise(fit, fit_here)
         held &= beyond <= 1

@@ -9,7 +9,7 @@ from recon.maps import Maps, Support
 from recon.surface.noise_reference import NoiseReference, depth_of
 from recon.surface.surface_stage import surface_of
 from recon.surface.window_bias import Slopes, without_bias
-from recon.surface.window_quadratic import fit_windows
+from recon.surface.window_quadratic import Lines, WindowFit, fit_windows
 from sim_backend.scene import load_scene
 from sim_backend.truth import Truth, compute_truth
 
@@ -24,21 +24,47 @@ def hemisphere() -> tuple[Maps, Maps, Truth]:
     return maps, surface_of(maps, crossing, manifest, method="full").maps, compute_truth(scene)
 
 
+def _fits(
+    p: np.ndarray, q: np.ndarray, height: np.ndarray, weight: np.ndarray, *, half_widths: tuple[int, ...]
+) -> list[WindowFit]:
+    """Fit heights of which there are no draws, and read the polynomials at their own pixels."""
+    none = np.empty((0, *p.shape), np.float32)
+    return fit_windows(p, q, height, none, weight, Lines.upright(p, q), half_widths=half_widths, readings=1)
+
+
 def test_quadratic_polynomials_are_found_exactly() -> None:
     q, p = np.indices((12, 15)) / 4.0 - 1.5
     height = 0.3 - 0.2 * p + 0.7 * q + 0.1 * p * p - 0.4 * p * q + 0.25 * q * q
-    (fit,) = fit_windows(p, q, height, np.stack([2 * height, -height]), np.ones(p.shape), half_widths=(2,))
-    along_p, along_q = fit.slopes(p, q)
+    draws = np.stack([2 * height, -height]).astype(np.float32)
+    lines = Lines.upright(p + 0.1, q - 0.05)
+    (fit,) = fit_windows(p, q, height, draws, np.ones(p.shape), lines, half_widths=(2,), readings=3)
+    p, q = p + 0.1, q - 0.05
+    value = 0.3 - 0.2 * p + 0.7 * q + 0.1 * p * p - 0.4 * p * q + 0.25 * q * q
     slope_p, slope_q = -0.2 + 0.2 * p - 0.4 * q, 0.7 - 0.4 * p + 0.5 * q
-    assert np.allclose(fit.value(p, q), height, atol=1e-9)
-    assert np.allclose(along_p, slope_p, atol=1e-8)
-    assert np.allclose(along_q, slope_q, atol=1e-8)
-    drawn_p, drawn_q, _ = fit.drawn_slopes(p, q)
+    assert np.allclose(fit.along, value, atol=1e-9)
+    assert np.allclose(fit.slope_p, slope_p, atol=1e-8)
+    assert np.allclose(fit.slope_q, slope_q, atol=1e-8)
+    # Draws come in single precision.
     for number, scale in enumerate((2, -1)):
-        assert np.allclose(fit.drawn_values(p, q)[number], scale * height, atol=1e-9)
-        assert np.allclose(drawn_p[number], scale * slope_p, atol=1e-8)
-        assert np.allclose(drawn_q[number], scale * slope_q, atol=1e-8)
-    assert max(np.abs(fit.misfit).max(), np.abs(fit.drawn_misfit).max()) < 1e-9
+        for read, expected in zip(fit.drawn, (value, slope_p, slope_q), strict=True):
+            assert np.allclose(read[number], scale * expected, atol=1e-5)
+    assert fit.misfit.max() < 1e-9
+    assert fit.drawn_misfit.max() < 1e-9
+
+
+def test_a_slanting_line_meets_its_polynomial_where_the_quadratic_equation_says() -> None:
+    q, p = np.indices((9, 9)) / 4.0 - 1.0
+    start = np.stack([p, q, np.full(p.shape, 2.0)], axis=-1)
+    fits = fit_windows(
+        *(p, q, 0.1 * p * p, np.empty((0, 9, 9), np.float32), np.ones(p.shape)),
+        Lines(start, np.array([0.6, 0.0, -0.8])),
+        half_widths=(2, 3),
+        readings=1,
+    )
+    # 2 − 0.8 t = 0.1 (p + 0.6 t)²
+    a, b, c = 0.036, 0.8 + 0.12 * p, 0.1 * p * p - 2
+    for fit in fits:
+        assert np.allclose(fit.along, (-b + np.sqrt(b * b - 4 * a * c)) / (2 * a), rtol=1e-6)
 
 
 def test_windows_at_an_edge_are_fitted_as_least_squares_over_the_pixels_inside() -> None:
@@ -46,9 +72,7 @@ def test_windows_at_an_edge_are_fitted_as_least_squares_over_the_pixels_inside()
     q, p = np.indices((10, 11)) / 4.0 - 1.2
     height, weight = rng.standard_normal(p.shape), rng.uniform(0.5, 2.0, p.shape) * (rng.uniform(size=p.shape) < 0.9)
     widths = (2, 3, 4)
-    for half, fit in zip(
-        widths, fit_windows(p, q, height, np.empty((0, *p.shape)), weight, half_widths=widths), strict=True
-    ):
+    for half, fit in zip(widths, _fits(p, q, height, weight, half_widths=widths), strict=True):
         for row, col in ((0, 0), (1, 9), (5, 5), (9, 3)):
             part = (slice(max(row - half, 0), row + half + 1), slice(max(col - half, 0), col + half + 1))
             root, places, values = (each[part].ravel() for each in (np.sqrt(weight), (p + 1j * q), height))
@@ -63,14 +87,16 @@ def test_windows_at_an_edge_are_fitted_as_least_squares_over_the_pixels_inside()
 def test_variance_in_the_middle_of_a_window_is_that_of_the_closed_form() -> None:
     # Savitzky and Golay in two dimensions: the middle of 5 × 5 places has the weight 27/175.
     q, p = np.indices((9, 9)) - 4.0
-    (fit,) = fit_windows(p, q, np.zeros((9, 9)), np.empty((0, 9, 9)), np.ones((9, 9)), half_widths=(2,))
-    assert fit.value_variance(p, q)[4, 4] == pytest.approx(27 / 175, rel=1e-9)
+    (fit,) = _fits(p, q, np.zeros((9, 9)), np.ones((9, 9)), half_widths=(2,))
+    assert fit.variance[0, 4, 4] == pytest.approx(27 / 175, rel=1e-9)
 
 
-def test_a_window_wider_than_the_margin_of_its_sums_is_refused() -> None:
-    flat = np.zeros((9, 9))
+def test_windows_and_maps_wider_than_there_is_room_for_in_a_row_are_refused() -> None:
+    flat, wide = np.zeros((9, 9)), np.zeros((9, 73))
     with pytest.raises(ValueError, match="may reach 4 pixels, not 5"):
-        list(fit_windows(flat, flat, flat, flat[None], flat, half_widths=(2, 5)))
+        _fits(flat, flat, flat, flat, half_widths=(2, 5))
+    with pytest.raises(ValueError, match="may be 72 pixels wide, not 73"):
+        _fits(wide, wide, wide, wide, half_widths=(2,))
 
 
 def test_slopes_of_a_surface_that_bends_ever_more_lose_the_bias_of_their_window_and_keep_it_as_left_without_draws() -> (
@@ -78,10 +104,9 @@ def test_slopes_of_a_surface_that_bends_ever_more_lose_the_bias_of_their_window_
 ):
     q, p = np.indices((41, 41)) - 20.0
     trust, cubic = np.ones(p.shape), 1e-3 * p**3
-    fits = fit_windows(p, q, cubic, np.zeros((1, *p.shape)), trust, half_widths=(2, 4))
     small, large = (
-        Slopes(np.stack([np.stack([fit.slopes(p, q)[0], 0 * p]), np.zeros((2, *p.shape))]), np.ones(p.shape))
-        for fit in fits
+        Slopes(np.stack([np.stack([fit.slope_p, 0 * p]), np.zeros((2, *p.shape))]), np.ones(p.shape))
+        for fit in _fits(p, q, cubic, trust, half_widths=(2, 4))
     )
     true = 3e-3 * p**2
     depth_px, within = np.full(p.shape, 99.0), trust > 0
