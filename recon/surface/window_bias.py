@@ -2,11 +2,11 @@
 
 from dataclasses import dataclass
 
-import cv2
 import numpy as np
-from jaxtyping import Float64
+from jaxtyping import Float, Float32, Float64
 
 from recon.surface.ray_chords import Mask, ScalarMap, VectorMap
+from recon.surface.window_means import replace_by_means, weighted_means
 
 # The bias is taken from this many pixels across.
 BIAS_WINDOW_PX = 9
@@ -20,12 +20,13 @@ CUT_WEIGHT = 1e-3
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Slopes:
-    """Slopes along both axes of a tile, of its heights and then of the draws of their errors.
+    """Slopes along both axes of a tile, and those of the draws of their heights' errors.
 
     ``variance`` is that of a slope for heights of variance one; 0 for the measured normals, of which there are no draws.
     """
 
-    slope: Float64[np.ndarray, "2 fields rows cols"]
+    slope: Float64[np.ndarray, "2 rows cols"]
+    drawn: Float32[np.ndarray, "2 draws rows cols"]
     variance: ScalarMap
 
 
@@ -33,7 +34,7 @@ def own_slopes(normal: VectorMap, mask: Mask) -> Slopes:
     """Return the slopes that the measured normals tell."""
     up = np.where(mask, normal[..., 2], 1.0)
     slope = np.stack([np.where(mask, -normal[..., axis] / up, 0.0) for axis in (0, 1)])
-    return Slopes(slope[:, None], np.zeros(mask.shape))
+    return Slopes(slope, np.empty((2, 0, *mask.shape), np.float32), np.zeros(mask.shape))
 
 
 def whole_bias(half_width: int, smaller: int) -> float:
@@ -47,7 +48,7 @@ def whole_bias(half_width: int, smaller: int) -> float:
 
 def without_bias(
     now: Slopes, before: Slopes, trust: ScalarMap, depth_px: ScalarMap, within: Mask, *, half_width: int, smaller: int
-) -> tuple[Float64[np.ndarray, "2 fields rows cols"], Float64[np.ndarray, "2 rows cols"]]:
+) -> tuple[Slopes, Float64[np.ndarray, "2 rows cols"]]:
     """Return the slopes of a window without its bias, and the bias that may be left.
 
     The bias is ``whole_bias`` times the mean, over the pixels about each, of what the window differs by from the next smaller one
@@ -61,46 +62,33 @@ def without_bias(
     """
     # A window with hardly more places than terms says next to nothing, and would spoil those about it.
     weight = trust / (now.variance + before.variance)
-    known = before.slope.shape[1]
-    change = whole_bias(half_width, smaller) * (now.slope[:, :known] - before.slope)
-    if known < now.slope.shape[1]:
-        return now.slope, _mean(change, weight, window_px=OWN_WINDOW_PX)[:, 0]
+    factor = whole_bias(half_width, smaller)
+    change = factor * (now.slope - before.slope)
+    if before.drawn.shape[1] < now.drawn.shape[1]:
+        return now, weighted_means(change, weight, window_px=OWN_WINDOW_PX)
     weight = np.where(within, weight, CUT_WEIGHT * weight)
     bias = _by_depth(change, weight, depth_px, half_width=half_width)
-    left = bias[:, 0] - _by_depth(bias[:, :1], weight, depth_px, half_width=half_width)[:, 0]
+    left = bias - _by_depth(bias, weight, depth_px, half_width=half_width)
+    drawn = _by_depth(np.float32(factor) * (now.drawn - before.drawn), weight, depth_px, half_width=half_width)
     whole = depth_px > half_width
-    return np.where(whole, now.slope - bias, now.slope), np.where(whole, left, bias[:, 0])
+    clear = Slopes(now.slope - whole * bias, now.drawn - whole.astype(np.float32) * drawn, now.variance)
+    return clear, np.where(whole, left, bias)
 
 
 def _by_depth(
-    slopes: Float64[np.ndarray, "2 fields rows cols"], weight: ScalarMap, depth_px: ScalarMap, *, half_width: int
-) -> Float64[np.ndarray, "2 fields rows cols"]:
+    slopes: Float[np.ndarray, "2 *draws rows cols"], weight: ScalarMap, depth_px: ScalarMap, *, half_width: int
+) -> Float[np.ndarray, "2 *draws rows cols"]:
     """Return the weighted mean over whole windows about each pixel, and near the rim over those alone that are as deep.
 
     A cut window has that of the outermost whole ones.
     """
     first, last = half_width + 1, half_width + BIAS_WINDOW_PX // 2
+    whole = np.where(depth_px > half_width, weight, 0.0)
     outermost = np.where(depth_px == first, weight, CUT_WEIGHT * weight)
-    result = _mean(slopes, np.where(depth_px > half_width, weight, 0.0), window_px=BIAS_WINDOW_PX)
-    for depth, there in [(first, depth_px <= first), *((k, depth_px == k) for k in range(first + 1, last + 1))]:
-        if there.any():
-            alike = outermost if depth == first else np.where(there, weight, 0.0)
-            result[..., there] = _mean(slopes, alike, window_px=RIM_WINDOW_PX)[..., there]
+    result = np.empty_like(slopes)
+    replace_by_means(slopes, whole, depth_px > last, result, window_px=BIAS_WINDOW_PX)
+    replace_by_means(slopes, outermost, depth_px <= first, result, window_px=RIM_WINDOW_PX)
+    for depth in range(first + 1, last + 1):
+        there = depth_px == depth
+        replace_by_means(slopes, np.where(there, weight, 0.0), there, result, window_px=RIM_WINDOW_PX)
     return result
-
-
-def _mean(
-    slopes: Float64[np.ndarray, "2 fields rows cols"], weight: ScalarMap, *, window_px: int
-) -> Float64[np.ndarray, "2 fields rows cols"]:
-    """Return the weighted mean over the window about each pixel."""
-    total = _box(weight, window_px)
-    total = np.where(total > 0, total, 1.0)
-    held = np.where(weight > 0, np.nan_to_num(slopes) * weight, 0.0)
-    return np.stack([np.stack([_box(field, window_px) / total for field in axis]) for axis in held])
-
-
-def _box(values: ScalarMap, window_px: int) -> ScalarMap:
-    window = (window_px, window_px)
-    return np.asarray(
-        cv2.boxFilter(values, cv2.CV_64F, window, normalize=False, borderType=cv2.BORDER_CONSTANT), np.float64
-    )
