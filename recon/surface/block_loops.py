@@ -116,16 +116,22 @@ def step(
     search: np.ndarray,
     along: np.ndarray,
     weight: np.ndarray,
+    smaller: np.ndarray,
     solution: np.ndarray,
     residual: np.ndarray,
+    right: np.ndarray,
 ) -> np.ndarray:
-    """Go along the search direction by a length a column, and return the weighted sum of squares of what is left of each."""
+    """Go along the search direction by a length a column, and return the weighted sum of squares of what is left of each.
+
+    What is left, ``smaller`` by a factor a column, is the right side of the next cycle of multigrid.
+    """
     squares = np.zeros(COLUMNS)
     for row in range(len(search)):
         for k in range(COLUMNS):
             solution[row, k] += length[k] * search[row, k]
             residual[row, k] -= length[k] * along[row, k]
             squares[k] += weight[row] * residual[row, k] ** 2
+            right[row, k] = smaller[k] * residual[row, k]
     return squares
 
 

@@ -4,6 +4,8 @@ Conjugate gradients for each, in lockstep and preconditioned by the same multigr
 What is around it is not: over millions of pixels the product with a long wave is as small as single precision's rounding.
 """
 
+from dataclasses import dataclass
+
 import numpy as np
 from jaxtyping import Float32, Float64
 from scipy.linalg import cho_solve
@@ -14,7 +16,6 @@ from recon.surface.block_loops import COLUMNS
 from recon.surface.multigrid import Multigrid
 
 Block = Float32[np.ndarray, "unknowns columns"]
-DoubleBlock = Float64[np.ndarray, "unknowns columns"]
 
 
 def solved_block(
@@ -34,19 +35,24 @@ def solved_block(
     rows = (matrix.indptr, matrix.indices, matrix.data)
     residual = right.astype(np.float64)
     solution, search, along = (np.zeros_like(residual) for _ in range(3))
-    nothing = np.zeros(COLUMNS)
-    squares = block_loops.step(nothing, search, along, weight, solution, residual)
+    cycle = _Cycle.of(multigrid)
+    # Single precision ends at 1e38, and right sides come in any unit. Conjugate gradients do not see by what constant their
+    # preconditioner is multiplied.
+    size = np.maximum(right.max(axis=0, initial=0.0), -right.min(axis=0, initial=0.0)).astype(np.float64)
+    smaller = 1 / np.where((size > 0) & np.isfinite(size), size, 1.0)
+    move = (search, along, weight, smaller, solution, residual, cycle.right)
+    squares = block_loops.step(np.zeros(COLUMNS), *move)
     tolerance, product = relative_tolerance**2 * squares, np.ones(COLUMNS)
     for _ in range(steps):
         if (squares <= tolerance).all():
             return solution.astype(np.float32), True
-        upward = _cycled(multigrid, residual)
+        upward = cycle.solution()
         before, product = product, block_loops.dot_products(residual, upward)
         block_loops.turn(_ratio(product, before), upward, search)
         length = _ratio(product, block_loops.multiply(*rows, search, along))
         if not np.isfinite(length).all():
             return solution.astype(np.float32), False
-        squares = block_loops.step(length, search, along, weight, solution, residual)
+        squares = block_loops.step(length, *move)
     return solution.astype(np.float32), bool((squares <= tolerance).all())
 
 
@@ -55,23 +61,43 @@ def _ratio(above: Float64[np.ndarray, " columns"], below: Float64[np.ndarray, " 
     return np.divide(above, below, out=np.zeros(COLUMNS), where=below != 0)
 
 
-def _cycled(multigrid: Multigrid, residual: DoubleBlock) -> DoubleBlock:
-    """Return an approximate solution for these right sides: one symmetric V-cycle, in which the longest column has length 1."""
-    size = np.abs(residual).max(axis=0)
-    scale = np.where((size > 0) & np.isfinite(size), size, 1.0)
-    return _cycle(multigrid, 0, (residual / scale).astype(np.float32)) * scale
+@dataclass(frozen=True, slots=True, eq=False)
+class _Cycle:
+    """A multigrid with room for right sides, solutions and what these leave, from the finest system to the coarsest."""
 
+    multigrid: Multigrid
+    rights: tuple[np.ndarray, ...]
+    solutions: tuple[np.ndarray, ...]
+    left: tuple[np.ndarray, ...]
 
-def _cycle(multigrid: Multigrid, depth: int, right: Block) -> Block:
-    if depth == len(multigrid.levels):
-        return cho_solve(multigrid.coarsest, right.astype(np.float64), check_finite=False).astype(np.float32)
-    level = multigrid.levels[depth]
-    rows = (level.matrix.indptr, level.matrix.indices, level.matrix.data)
-    up = (level.up.indptr, level.up.indices, level.up.data)
-    solution, residual = np.empty_like(right), np.empty_like(right)
-    coarse = np.empty((level.up.shape[1], COLUMNS), np.float32)
-    block_loops.descend(*rows, right, solution, residual)
-    block_loops.restrict(*up, residual, coarse)
-    block_loops.prolong(*up, _cycle(multigrid, depth + 1, coarse), solution)
-    block_loops.ascend(*rows, right, solution)
-    return solution
+    @classmethod
+    def of(cls, multigrid: Multigrid) -> "_Cycle":
+        """Make room: a block that is taken anew for every cycle costs as much as what is done with it."""
+        sizes = [level.matrix.shape[0] for level in multigrid.levels]
+        coarsest = len(multigrid.coarsest[0])
+        rights, solutions, left = (
+            tuple(np.empty((size, COLUMNS), np.float32) for size in of) for of in ([*sizes, coarsest], sizes, sizes)
+        )
+        return cls(multigrid, rights, solutions, left)
+
+    @property
+    def right(self) -> Block:
+        """Where the right sides are put."""
+        return self.rights[0]
+
+    def solution(self) -> Block:
+        """Return an approximate solution for them, which the next cycle overwrites: one symmetric V-cycle."""
+        return self._from(0)
+
+    def _from(self, depth: int) -> Block:
+        right = self.rights[depth]
+        if depth == len(self.multigrid.levels):
+            return cho_solve(self.multigrid.coarsest, right.astype(np.float64), check_finite=False).astype(np.float32)
+        level, solution, left = self.multigrid.levels[depth], self.solutions[depth], self.left[depth]
+        rows = (level.matrix.indptr, level.matrix.indices, level.matrix.data)
+        up = (level.up.indptr, level.up.indices, level.up.data)
+        block_loops.descend(*rows, right, solution, left)
+        block_loops.restrict(*up, left, self.rights[depth + 1])
+        block_loops.prolong(*up, self._from(depth + 1), solution)
+        block_loops.ascend(*rows, right, solution)
+        return solution

@@ -37,7 +37,6 @@ NoiseAt = Callable[[ScalarMap, Mask], NoiseDraw]
 
 def drawn_errors(
     graph: Neighbours,
-    rays: Rays,
     chords: Chords,
     solve: Callable[[Block], Block],
     noise: NoiseDraw,
@@ -62,33 +61,32 @@ def drawn_errors(
         With more than one, a set of draws is solved while the next is drawn.
     """
     rng = np.random.default_rng(DRAW_SEED)
+    places = np.flatnonzero(graph.mask)
     slides = np.zeros((DRAWS, *graph.mask.shape, 3), np.float32)
-    turned_squared = np.zeros(graph.pixels)
+    turned_squared, own, turned = np.zeros(len(places)), np.empty(len(places)), np.empty((2, len(graph.first)))
     bend = chords.bend
     solved = []
     # One set is solved while the next is drawn.
     with ThreadPoolExecutor(1) as pool:
         for first in range(0, DRAWS, COLUMNS):
-            right = np.empty((graph.pixels, COLUMNS), np.float32)
+            right = np.empty((len(places), COLUMNS), np.float32)
             for column in range(COLUMNS):
                 distance_error, normal_error, slide = noise(rng)
-                slides[first + column][graph.mask] = slide
-                turned_squared += (normal_error**2).sum(axis=1) * (scales[1] ** 2 / DRAWS)
-                shift = np.where(rays.precision > 0, scales[0] * distance_error, 0.0)
-                turned = np.empty((2, len(graph.first)))
+                slides[first + column].reshape(-1, 3)[places] = slide
                 _write_right_side(
                     *(graph.first, graph.second, bend.before, bend.after),
                     *(chords.chord_mm, chords.at_first, chords.at_second, bend.per_squared, bend.factor),
-                    *(weights[0], normal_error, scales[1]),
-                    *(turned, weights[1] * shift, right[:, column]),
+                    *(*weights, distance_error, normal_error),
+                    *scales,
+                    *(turned, own, right[:, column], turned_squared),
                 )
             solved.append(pool.submit(solve, right))
             if threads == 1:
                 solved[-1].result()
     errors = np.full((DRAWS, *graph.mask.shape), np.nan, np.float32)
     for number, found in enumerate(column for job in solved for column in job.result().T):
-        errors[number][graph.mask] = found
-    return errors, slides, turned_squared
+        errors[number].reshape(-1)[places] = found
+    return errors, slides, turned_squared / DRAWS
 
 
 @compiled
@@ -102,24 +100,36 @@ def _write_right_side(
     at_second: np.ndarray,
     per_squared: np.ndarray,
     factor: np.ndarray,
-    weight: np.ndarray,
+    chord_weight: np.ndarray,
+    own_weight: np.ndarray,
+    shift: np.ndarray,
     tilt: np.ndarray,
-    scale: float,
+    shift_scale: float,
+    tilt_scale: float,
     turned: np.ndarray,
     own: np.ndarray,
     right: np.ndarray,
+    turned_squared: np.ndarray,
 ) -> None:
-    """Write the right side of errors of normals, with the pixels' ``own`` added; ``turned`` is room for two numbers a pair."""
+    """Write the right side of one error of every distance and normal, and add the squares of the latter.
+
+    ``turned`` is room for two numbers a pair, ``own`` for one a pixel.
+    """
+    for pixel in range(len(own)):
+        # Where nothing was measured, nothing was drawn.
+        own[pixel] = own_weight[pixel] * shift_scale * shift[pixel] if own_weight[pixel] > 0 else 0.0
+        for k in range(3):
+            turned_squared[pixel] += (tilt_scale * tilt[pixel, k]) ** 2
     for pair in range(len(first)):
         one = other = 0.0
         for k in range(3):
             one += tilt[first[pair], k] * chord[pair, k]
             other += tilt[second[pair], k] * chord[pair, k]
-        turned[0, pair] = 0.5 * scale * (one + other)
-        turned[1, pair] = scale * (other - one) * per_squared[pair]
+        turned[0, pair] = 0.5 * tilt_scale * (one + other)
+        turned[1, pair] = tilt_scale * (other - one) * per_squared[pair]
     for pair in range(len(first)):
         height = factor[pair] * (turned[1, after[pair]] - turned[1, before[pair]]) if factor[pair] != 0 else 0.0
-        pull = weight[pair] * (turned[0, pair] - height)
+        pull = chord_weight[pair] * (turned[0, pair] - height)
         own[first[pair]] -= at_first[pair] * pull
         own[second[pair]] -= at_second[pair] * pull
     for pixel in range(len(own)):

@@ -49,8 +49,8 @@ LEAST_WEIGHT = 1e-9
 START_WINDOW_PX = 5
 # A measured distance that far from the median about it is a surface that bends, not noise.
 START_SD = 3.0
-# Each round solves for a correction, which need not be known more closely than this share of itself.
-CORRECTION_TOLERANCE = 1e-4
+# So many of its own sd may the mean over any pixels, or what else is made of them, be off. What a round leaves, the next mends.
+ERROR_SD, ROUND_ERROR_SD = 0.05, 1.0
 # Reads the measured distances and their standard deviations again, for a surface near the distances given.
 Remeasure = Callable[[ScalarMap], tuple[ScalarMap, ScalarMap]]
 
@@ -140,7 +140,17 @@ def fuse_on_rays(
     positions = _position_weights(rays, distance)
     solver = SparseSolver()
     for number in range(rounds if graph.pixels else 0):
-        distance = _solve(graph, rays, chords, _system(graph, rays, chords, pairs, positions), distance, solver)
+        # Weights change by decades where a measurement is found to be wrong: a multigrid of the last round's would not see it.
+        solver = SparseSolver()
+        distance = _solve(
+            graph,
+            rays,
+            chords,
+            _system(graph, rays, chords, pairs, positions),
+            distance,
+            solver,
+            error_sd=ERROR_SD if number == rounds - 1 else ROUND_ERROR_SD,
+        )
         if remeasure is not None:
             told_mm, told_sd_mm = remeasure(graph.on_grid(distance))
             told = measured_pixels(told_mm, told_sd_mm)
@@ -158,7 +168,6 @@ def fuse_on_rays(
         give_back_free_memory()
         errors, slides, turned_squared = drawn_errors(
             graph,
-            rays,
             chords,
             solver.block_solver(last.matrix, relative_tolerance=DRAW_TOLERANCE),
             independent_noise(rays) if noise is None else noise(graph.on_grid(distance), used),
@@ -248,12 +257,19 @@ def _gather(graph: Neighbours, chords: Chords, per_chord: PerPair, per_pixel: Pe
 
 
 def _solve(
-    graph: Neighbours, rays: Rays, chords: Chords, system: _System, guess: PerPixel, solver: SparseSolver
+    graph: Neighbours,
+    rays: Rays,
+    chords: Chords,
+    system: _System,
+    guess: PerPixel,
+    solver: SparseSolver,
+    *,
+    error_sd: float,
 ) -> PerPixel:
     """Minimise Σ weight · residual² / variance over chords and measured distances, by a correction to ``guess``."""
     chord_pull = -system.chord_weight * chords.residual(graph, guess)
     right = _gather(graph, chords, chord_pull, system.own_weight * (rays.measured_mm - guess))
-    solve = solver.solver(system.matrix, relative_tolerance=CORRECTION_TOLERANCE)
+    solve = solver.solver(system.matrix, error_sd=error_sd)
     return guess + solve(right, np.zeros_like(guess))
 
 

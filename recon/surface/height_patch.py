@@ -5,14 +5,14 @@ from functools import cache
 
 import cv2
 import numpy as np
-from jaxtyping import Float32, Float64
+from jaxtyping import Float, Float32, Float64
 from scipy.stats import chi2
 
 from recon.surface.error_draws import standard_deviation
 from recon.surface.lateral_places import LateralPlaces
 from recon.surface.noise_reference import NoiseReference
 from recon.surface.ray_chords import Mask, ScalarMap, VectorMap
-from recon.surface.window_bias import ClearSlopes, Slopes, bias_left, without_bias
+from recon.surface.window_bias import Slopes, without_bias
 from recon.surface.window_quadratic import Lines, WindowFit
 
 # One in a thousand smooth normals is turned down for its noise.
@@ -80,13 +80,13 @@ def patch_of(
     fit: WindowFit,
     place: Sight,
     mask: Mask,
-    before: ClearSlopes,
+    before: Slopes,
     trust: ScalarMap,
     noise: NoiseReference,
     *,
     half_width: int,
     smaller: int,
-) -> tuple[Patch, ClearSlopes]:
+) -> tuple[Patch, Slopes]:
     """Let each pixel's line of sight meet its polynomial, and carry the draws and the lateral place's sd along.
 
     ``before`` are the slopes of the next smaller window; those of this one are returned for the next larger. ``whole_bias`` times
@@ -95,55 +95,51 @@ def patch_of(
     normal of another place, and looking for the normal at the place that it tells puts much of that right. So ``noise`` is told
     of draws of both together.
     """
-    sight, slopes = place.lines.sight, (fit.slope_p, fit.slope_q)
+    sight, slopes = place.lines.sight, np.stack([fit.slope_p, fit.slope_q])
     point = place.lines.start + fit.along[..., None] * sight
     length = np.sqrt(1 + slopes[0] ** 2 + slopes[1] ** 2)
-    normal = _unit(-slopes[0], -slopes[1])
-    facing = normal @ sight
+    # Of the normal, the parts along p and q, and how much of it is along the sight.
+    normal = -slopes / length
+    facing = normal[0] * sight[0] + normal[1] * sight[1] + sight[2] / length
     facing = np.where(np.abs(facing) > 1e-3, facing, 1e-3)
-    # How the point and the normal move when the lateral place does.
-    moves = [axis - (normal @ axis / facing)[..., None] * sight for axis in place.across]
-    twice = fit.coefficients
+    now = Slopes(slopes, fit.drawn[1:], fit.variance[1] + fit.variance[2])
+    clear, left = without_bias(now, before, trust, noise.depth_px, noise.within, half_width=half_width, smaller=smaller)
+    noisy = clear.drawn.copy()
     slide_variance = np.zeros(mask.shape)
-    turns = np.zeros((2, place.error.shape[1], *mask.shape))
-    for move, variance, error in zip(moves, place.variance, place.error, strict=True):
-        slide_variance += variance * (move**2).sum(axis=-1)
-        bend_p = 2 * twice[3] * move[..., 0] + twice[4] * move[..., 1]
-        bend_q = twice[4] * move[..., 0] + 2 * twice[5] * move[..., 1]
-        turns += np.stack([bend_p * error, bend_q * error])
-    slope_variance = fit.variance[1] + fit.variance[2]
-    now = Slopes(np.stack([np.r_[slopes[axis][None], fit.drawn[1 + axis]] for axis in (0, 1)]), slope_variance)
-    sizes = {"half_width": half_width, "smaller": smaller}
-    clear, left = without_bias(now, before, trust, noise.depth_px, noise.within, **sizes)
-    noisy = clear[:, 1:] + turns
-    # Smaller windows are not used, and their noise is not that of the others.
-    enough = mask & (fit.count >= FEWEST_PLACES)
-    noise_squared = noise.smoothed(
-        _tilt_squared(noisy[0], noisy[1], normal, length).mean(axis=0), slope_variance, enough, half_width=half_width
-    )
-    left_squared = _tilt_squared(left[0], left[1], normal, length)
-    bias_squared = bias_left(left_squared, before, enough & noise.within, noise.depth_px, **sizes)
+    for axis, variance, error in zip(place.across, place.variance, place.error, strict=True):
+        # How the point, and the slopes there, move when the lateral place does.
+        share = (normal[0] * axis[0] + normal[1] * axis[1] + axis[2] / length) / facing
+        move = [axis[k] - share * sight[k] for k in range(3)]
+        slide_variance += variance * (move[0] ** 2 + move[1] ** 2 + move[2] ** 2)
+        _, _, _, pp, pq, qq = fit.coefficients
+        noisy[0] += (2 * pp * move[0] + pq * move[1]).astype(np.float32) * error
+        noisy[1] += (pq * move[0] + 2 * qq * move[1]).astype(np.float32) * error
+    noise_squared = noise.smoothed(_mean_tilt_squared(noisy, normal, length), now.variance, mask, half_width=half_width)
     lifted = standard_deviation(fit.drawn[0], mask) / length
     patch = Patch(
         point=point,
-        normal=_unit(-clear[0, 0], -clear[1, 0]),
+        normal=_unit(-clear.slope[0], -clear.slope[1]),
         sd=np.sqrt(slide_variance + (lifted / facing) ** 2),
         across_sd=lifted,
-        normal_sd=np.sqrt(noise_squared + bias_squared),
+        normal_sd=np.sqrt(noise_squared + _mean_tilt_squared(left[:, None], normal, length)),
     )
-    return patch, ClearSlopes(now, clear, bias_squared)
+    return patch, now
 
 
 def _unit(p: ScalarMap, q: ScalarMap) -> VectorMap:
     """Return the unit vectors along (p, q, 1)."""
-    upward = np.stack([p, q, np.ones_like(p)], axis=-1)
-    return upward / np.linalg.norm(upward, axis=-1, keepdims=True)
+    length = np.sqrt(p * p + q * q + 1)
+    return np.stack([p / length, q / length, 1 / length], axis=-1)
 
 
-def _tilt_squared(slope_p: np.ndarray, slope_q: np.ndarray, normal: np.ndarray, length: np.ndarray) -> np.ndarray:
-    """Return the squared angle by which a change of the slopes turns the normal."""
-    along = slope_p * normal[..., 0] + slope_q * normal[..., 1]
-    return np.maximum(slope_p**2 + slope_q**2 - along**2, 0.0) / length**2
+def _mean_tilt_squared(
+    slopes: Float[np.ndarray, "2 draws rows cols"], normal: Float64[np.ndarray, "2 rows cols"], length: ScalarMap
+) -> ScalarMap:
+    """Return the mean square of the angles by which changes of the slopes turn the normal."""
+    along = slopes[0] * normal[0].astype(slopes.dtype) + slopes[1] * normal[1].astype(slopes.dtype)
+    squares = np.einsum("adrc,adrc->rc", slopes, slopes, dtype=np.float64)
+    squares -= np.einsum("drc,drc->rc", along, along, dtype=np.float64)
+    return np.maximum(squares, 0.0) / (slopes.shape[1] * length**2)
 
 
 def beyond_noise(fit: WindowFit, mask: Mask) -> ScalarMap:

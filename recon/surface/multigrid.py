@@ -10,16 +10,11 @@ from dataclasses import dataclass
 import numpy as np
 from jaxtyping import Float64
 from pyamg import amg_core
-from pyamg.aggregation.aggregate import standard_aggregation
-from pyamg.strength import symmetric_strength_of_connection
 from scipy.linalg import cho_factor, cho_solve
-from scipy.sparse import csr_array, csr_matrix, diags_array
+from scipy.sparse import csr_array
 
-# Unknowns belong together where |a_ij| > θ √(a_ii a_jj); what falls short of that is lumped into the diagonal before the
-# prolongation is smoothed.
-STRENGTH_THETA = 0.1
-# Gershgorin's bound, row by row, stands for the spectral radius of the Jacobi step.
-JACOBI_OMEGA = 4 / 3
+from recon.surface.prolongation import prolongation
+
 COARSEST_UNKNOWNS = 300
 MOST_LEVELS = 12
 
@@ -48,15 +43,14 @@ class Multigrid:
         levels: list[_Level] = []
         exact = matrix
         while exact.shape[0] > COARSEST_UNKNOWNS and len(levels) < MOST_LEVELS:
-            here = exact.astype(np.float32)
-            up = _prolongation(here)
-            if not 0 < up.shape[1] < here.shape[0]:
+            up = prolongation(exact)
+            if not 0 < up.shape[1] < exact.shape[0]:
                 break
             down = up.T.tocsr()
-            levels.append(_Level(here, down, up))
+            levels.append(_Level(*(one.astype(np.float32) for one in (exact, down, up))))
             # A part of a surface whose distance is hardly known beside its shape is nearly singular: coarse systems made in
             # single precision would not be definite.
-            exact = (down.astype(np.float64) @ (exact @ up.astype(np.float64))).tocsr()
+            exact = (down @ (exact @ up)).tocsr()
         dense = exact.toarray()
         # Unknowns that nothing joins are solved by the sweeps alone; where all are such, the one coarse unknown is that of none.
         alone = np.flatnonzero(dense.diagonal() == 0)
@@ -87,21 +81,3 @@ def _sweep(matrix: csr_array, solution: np.ndarray, right: np.ndarray, *, forwar
     last = len(solution)
     ends = (0, last, 1) if forward else (last - 1, -1, -1)
     amg_core.gauss_seidel(matrix.indptr, matrix.indices, matrix.data, solution, right, *ends)
-
-
-def _prolongation(matrix: csr_array) -> csr_array:
-    """Return how each unknown follows the aggregates: constant on its own, then smoothed by a Jacobi step."""
-    # pyamg knows only the older matrix class with 32-bit indices.
-    older = csr_matrix(
-        (matrix.data, matrix.indices.astype(np.int32), matrix.indptr.astype(np.int32)), shape=matrix.shape
-    )
-    strong = symmetric_strength_of_connection(older, STRENGTH_THETA)
-    aggregates = csr_array(standard_aggregation(strong)[0].astype(np.float32))
-    kept = csr_array((np.ones(strong.nnz, np.float32), strong.indices, strong.indptr), shape=matrix.shape)
-    filtered = kept.multiply(matrix).tocsr()
-    lumped = matrix.sum(axis=1) - filtered.sum(axis=1)
-    diagonal = filtered.diagonal() + lumped
-    size = np.abs(filtered).sum(axis=1) - np.abs(filtered.diagonal()) + np.abs(diagonal)
-    step = JACOBI_OMEGA / np.maximum(size, np.finfo(np.float32).tiny)
-    smoothed = diags_array(step) @ (filtered @ aggregates + diags_array(lumped) @ aggregates)
-    return (aggregates - smoothed).tocsr().astype(np.float32)

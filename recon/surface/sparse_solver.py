@@ -32,12 +32,15 @@ class SparseSolver:
         self._multigrid: Multigrid | None = None
 
     def solver(
-        self, matrix: csr_array, *, relative_tolerance: float = RELATIVE_TOLERANCE
+        self, matrix: csr_array, *, relative_tolerance: float = RELATIVE_TOLERANCE, error_sd: float = 0.0
     ) -> Callable[[Vector, Vector], Vector]:
         """Prepare to solve ``matrix @ x = right``; the function returned takes the right side and a first guess.
 
         Multigrid preconditions conjugate gradients until the residual, on a unit diagonal, is ``relative_tolerance`` of the
         right side: the heaviest equations alone must not decide when to stop. Small systems are factorised.
+
+        Where the matrix is the inverse of the unknowns' covariance, it is also enough that neither an unknown nor any
+        combination of them is farther than ``error_sd`` of its own standard deviations from the solution, as estimated.
         """
         if matrix.shape[0] <= DIRECT_UNKNOWNS:
             return _direct(matrix)
@@ -50,7 +53,14 @@ class SparseSolver:
             steps = MOST_WITH_OTHER_WEIGHTS if inherited else MOST_ITERATIONS
             tolerance = relative_tolerance * _size(right, inverse_diagonal)
             found, converged = _conjugate_gradients(
-                matrix, right, guess, self._multigrid, inverse_diagonal, tolerance=tolerance, steps=steps
+                matrix,
+                right,
+                guess,
+                self._multigrid,
+                inverse_diagonal,
+                tolerance=tolerance,
+                error_sd=error_sd,
+                steps=steps,
             )
             if not converged and inherited:
                 self._multigrid = Multigrid.of(matrix)
@@ -61,6 +71,7 @@ class SparseSolver:
                     self._multigrid,
                     inverse_diagonal,
                     tolerance=tolerance,
+                    error_sd=error_sd,
                     steps=MOST_ITERATIONS,
                 )
             if not converged:
@@ -118,9 +129,14 @@ def _conjugate_gradients(
     inverse_diagonal: Vector,
     *,
     tolerance: float,
+    error_sd: float,
     steps: int,
 ) -> tuple[Vector, bool]:
-    """Return the solution, and whether its residual fell to ``tolerance`` (Hestenes and Stiefel 1952, preconditioned)."""
+    """Return the solution, and whether its residual fell to ``tolerance`` (Hestenes and Stiefel 1952, preconditioned).
+
+    An error's square in the matrix is that of the largest number of sd by which any combination of unknowns is off; residual
+    times cycle estimates it.
+    """
     if not right.any():
         return np.zeros_like(right), True
     solution = guess.copy()
@@ -131,6 +147,8 @@ def _conjugate_gradients(
             return solution, True
         upward = multigrid.cycle(residual)
         before, product = product, _dot(residual, upward)
+        if 0 <= product <= error_sd**2:
+            return solution, True
         search = upward + (product / before) * search
         along = matrix @ search
         length = product / _dot(search, along)

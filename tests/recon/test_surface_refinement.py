@@ -8,7 +8,8 @@ from recon.evaluation.spread import angle_between_rad
 from recon.maps import Maps, Support
 from recon.surface.noise_reference import NoiseReference, depth_of
 from recon.surface.surface_stage import surface_of
-from recon.surface.window_bias import ClearSlopes, Slopes, bias_left, without_bias
+from recon.surface.window_bias import Slopes, without_bias
+from recon.surface.window_means import weighted_means
 from recon.surface.window_quadratic import Lines, WindowFit, fit_windows
 from sim_backend.scene import load_scene
 from sim_backend.truth import Truth, compute_truth
@@ -105,55 +106,52 @@ def test_slopes_of_a_surface_that_bends_ever_more_lose_the_bias_of_their_window_
     q, p = np.indices((41, 41)) - 20.0
     trust, cubic = np.ones(p.shape), 1e-3 * p**3
     small, large = (
-        Slopes(np.stack([np.stack([fit.slope_p, 0 * p]), np.zeros((2, *p.shape))]), np.ones(p.shape))
+        Slopes(np.stack([fit.slope_p, 0 * p]), np.zeros((2, 1, *p.shape), np.float32), np.ones(p.shape))
         for fit in _fits(p, q, cubic, trust, half_widths=(2, 4))
     )
     true = 3e-3 * p**2
     depth_px, within = np.full(p.shape, 99.0), trust > 0
-    clear, left = without_bias(large, as_fitted(small), trust, depth_px, within, half_width=4, smaller=2)
-    assert large.slope[0, 0, 20, 20] - true[20, 20] == pytest.approx(1e-3 * 11.8, rel=1e-9)
-    assert clear[0, 0, 20, 20] == pytest.approx(true[20, 20], abs=1e-12)
-    assert left[0, 0, 20, 20] == pytest.approx(0, abs=1e-12)
-    measured = Slopes(np.stack([true, 0 * p])[:, None], 0 * p)
-    kept, left = without_bias(large, as_fitted(measured), trust, depth_px, within, half_width=4, smaller=0)
-    assert kept is large.slope
-    assert left[0, 0, 20, 20] == pytest.approx(1e-3 * 11.8, rel=1e-9)
+    clear, left = without_bias(large, small, trust, depth_px, within, half_width=4, smaller=2)
+    assert large.slope[0, 20, 20] - true[20, 20] == pytest.approx(1e-3 * 11.8, rel=1e-9)
+    assert clear.slope[0, 20, 20] == pytest.approx(true[20, 20], abs=1e-12)
+    assert left[0, 20, 20] == pytest.approx(0, abs=1e-12)
+    measured = Slopes(np.stack([true, 0 * p]), np.zeros((2, 0, *p.shape), np.float32), 0 * p)
+    kept, left = without_bias(large, measured, trust, depth_px, within, half_width=4, smaller=0)
+    assert kept is large
+    assert left[0, 20, 20] == pytest.approx(1e-3 * 11.8, rel=1e-9)
 
 
-def test_a_window_that_the_rim_cuts_is_held_against_the_smaller_one_where_that_is_whole() -> None:
-    ones = np.ones((20, 20))
-    small, large = (Slopes(np.full((2, 1, 20, 20), slope), ones) for slope in (0.0, 0.1))
-    mask = ones > 0
+def test_a_window_cut_at_the_rim_keeps_its_slopes_and_is_told_the_bias_of_the_outermost_whole_ones() -> None:
+    small, large = (
+        Slopes(np.full((2, 20, 20), slope), np.full((2, 1, 20, 20), slope, np.float32), np.ones((20, 20)))
+        for slope in (0.0, 0.1)
+    )
+    mask = np.ones((20, 20), dtype=bool)
     depth_px = depth_of(np.pad(mask, 1))[1:-1, 1:-1]
-    both_cut, held = depth_px <= 2, (depth_px > 2) & (depth_px <= 4)
+    cut = depth_px <= 4
     # Six pixels in, the windows differ by twice as much; that is none of the cut ones' business.
-    large.slope[..., depth_px > 5] *= 2
-    clear_of_bias = ClearSlopes(small, np.full((2, 1, 20, 20), 0.02), 0.01 * ones)
-    clear, left = without_bias(large, clear_of_bias, ones, depth_px, mask, half_width=4, smaller=2)
-    assert np.allclose(clear[..., both_cut], 0.1)
-    assert np.allclose(left[..., both_cut], 0.1 * 11.8 / (11.8 - 3.4), rtol=0.1)
-    assert np.allclose(clear[..., held], 0.02)
-    assert np.allclose(left[..., held], 0.0, atol=1e-12)
-    left_squared = bias_left((left**2).sum(axis=0), clear_of_bias, mask, depth_px, half_width=4, smaller=2)
-    assert np.allclose(left_squared[held], 0.01)
+    for slopes in (large.slope, large.drawn):
+        slopes[..., depth_px > 5] *= 2
+    clear, left = without_bias(large, small, np.ones((20, 20)), depth_px, mask, half_width=4, smaller=2)
+    assert np.allclose(clear.slope[..., cut], 0.1)
+    assert np.allclose(clear.drawn[..., cut], 0.1)
+    assert np.allclose(left[:, cut], 0.1 * 11.8 / (11.8 - 3.4), rtol=0.1)
 
 
-def test_what_is_left_of_the_bias_is_told_without_the_noise_in_it() -> None:
-    rng = np.random.default_rng(0)
-    bias, noise_sd, pixels = 0.01, 0.02, 25**2
-    fields = noise_sd * rng.standard_normal((5, 75, 75))
-    fields[0] += bias
-    nothing = np.zeros((75, 75))
-    before = ClearSlopes(Slopes(np.zeros((2, 1, 75, 75)), nothing), np.zeros((2, 1, 75, 75)), nothing)
-    told = bias_left(fields**2, before, nothing == 0, nothing + 99, half_width=4, smaller=2)
-    # Var (b + e)² = 4 b² s² + 2 s⁴; four draws add 2 s⁴ / 4.
-    sd = np.sqrt((4 * bias**2 * noise_sd**2 + 2.5 * noise_sd**4) / pixels)
-    assert told[37, 37] == pytest.approx(bias**2, abs=3 * sd)
-    assert 3 * sd < noise_sd**2
-
-
-def as_fitted(slopes: Slopes) -> ClearSlopes:
-    return ClearSlopes(slopes, slopes.slope, np.zeros(slopes.variance.shape))
+@pytest.mark.parametrize("window_px", [5, 9, 17])
+def test_weighted_means_are_those_of_the_window_within_the_map(window_px: int) -> None:
+    rng = np.random.default_rng(3)
+    fields = rng.standard_normal((2, 12, 23))
+    weight = rng.uniform(0.5, 2.0, (12, 23)) * (rng.uniform(size=(12, 23)) < 0.7)
+    fields[0, weight == 0] = np.nan
+    means, reach = weighted_means(fields, weight, window_px=window_px), window_px // 2
+    single = weighted_means(fields.astype(np.float32), weight, window_px=window_px)
+    for row, col in ((0, 0), (5, 11), (11, 4), (3, 22)):
+        part = (slice(max(row - reach, 0), row + reach + 1), slice(max(col - reach, 0), col + reach + 1))
+        expected = [np.average(np.nan_to_num(field)[part], weights=weight[part]) for field in fields]
+        assert np.allclose(means[:, row, col], expected, rtol=1e-12)
+        assert np.allclose(single[:, row, col], expected, atol=1e-6)
+    assert (weighted_means(fields, 0 * weight, window_px=window_px) == 0).all()
 
 
 def test_few_draws_tell_the_noise_of_windows_to_a_per_cent_where_it_is_a_share_of_what_went_in() -> None:
