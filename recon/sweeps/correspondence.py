@@ -2,7 +2,7 @@
 
 from collections.abc import Callable
 from dataclasses import dataclass
-from typing import Literal
+from typing import TYPE_CHECKING, Literal
 
 import numpy as np
 from jaxtyping import Bool, Float, Float32, UInt8
@@ -18,6 +18,9 @@ from recon.sweeps.half_seen import half_seen_of
 from recon.sweeps.noise import NoiseModel, dark_variance
 from recon.sweeps.sample_curves import sample_curves
 from recon.sweeps.stripe_peak import NO_PEAK, PeakWindows, parabola_offset
+
+if TYPE_CHECKING:
+    from recon.sweeps.peak_tracker import PeakTracker
 
 Method = Literal["paper", "full"]
 
@@ -84,7 +87,7 @@ def decode_sweep(
         )
     # Two paths are for the fit to tell apart.
     tracker = PeakTracker(floor, half_width=half_width, second=method == "full")
-    photos = _stream(session, capture_set, axis, tracker.feed, clipped=saturation_count(black), on_photo=on_photo)
+    photos = _stream(session, capture_set, axis, tracker, clipped=saturation_count(black), on_photo=on_photo)
     windows = tracker.finish()
     del tracker, floor
     give_back_free_memory()
@@ -160,7 +163,7 @@ def _stream(
     session: Session,
     capture_set: CaptureSet,
     axis: Axis,
-    feed: Callable[[Counts], Counts | None],
+    tracker: "PeakTracker",
     *,
     clipped: int,
     on_photo: Callable[[], None],
@@ -169,12 +172,12 @@ def _stream(
     quality = []
     for index in session.photo_numbers(capture_set, axis):
         counts = read_session_photo(session, capture_set.name, axis, index, buffer=free)
-        brightest = int(counts.max())
+        free = tracker.feed(counts)
+        brightest = tracker.brightest()
         share = np.count_nonzero(counts >= clipped) / counts.size if brightest >= clipped else 0.0
         quality.append(
             PhotoQuality(set=capture_set.name, sweep=axis, index=index, brightest=brightest, saturated_share=share)
         )
-        free = feed(counts)
         on_photo()
     return tuple(quality)
 

@@ -44,20 +44,29 @@ class CurveFits:
     widths: NeighbourWidths
     noise: NoiseModel
 
-    def fit(self, rows: np.ndarray | slice) -> tuple[StripeFit, WidthPrior, TwoPaths]:
-        """Fit some rows of the list; where the stripe lit a pixel twice, the brighter path is what was fitted."""
-        pixels, pattern = self.pixels[rows], self.curves.table.pattern
-        prior = self.widths.prior(self.footprints.some(rows), pixels)
-        fit = fit_stripe(self.curves, pixels, prior, noise=self.noise)
-        two = two_paths(self.curves, pixels, prior, noise=self.noise)
-        two = two.some(good_fit(two.first, pattern, noise=self.noise) & good_fit(two.second, pattern, noise=self.noise))
-        for name in StripeFit.__slots__:
-            getattr(fit, name)[two.rows] = getattr(two.first, name)
-        return fit, prior, two
+    def fit(self, rows: np.ndarray | slice) -> tuple[StripeFit, WidthPrior]:
+        """Fit some rows of the list as if the stripe lit each pixel once."""
+        prior = self.prior(rows)
+        return fit_stripe(self.curves, self.pixels[rows], prior, noise=self.noise), prior
+
+    def fit_two(self, rows: Int[np.ndarray, " some"]) -> TwoPaths:
+        """Fit some rows of the list that may have been lit twice; ``rows`` of the result, which were, are those of the list."""
+        pattern, noise = self.curves.table.pattern, self.noise
+        two = two_paths(self.curves, self.pixels[rows], self.prior(rows), noise=noise)
+        two = two.some(good_fit(two.first, pattern, noise=noise) & good_fit(two.second, pattern, noise=noise))
+        return TwoPaths(rows[two.rows], two.first, two.second)
+
+    def prior(self, rows: np.ndarray | slice) -> WidthPrior:
+        """Return what is known of the widths of some rows of the list."""
+        return self.widths.prior(self.footprints.some(rows), self.pixels[rows])
 
     def drawn(self, pixels: Int[np.ndarray, " some"]) -> Float64[np.ndarray, "some samples"]:
-        """Return the fitted curves [pixels, samples] of some of the pixels, in counts above black."""
-        fit, prior, _ = self.fit(np.searchsorted(self.pixels, pixels))
+        """Return the fitted curves [pixels, samples] of some of the pixels, in counts above black; of two paths the brighter."""
+        rows = np.searchsorted(self.pixels, pixels)
+        fit, prior = self.fit(rows)
+        two = self.fit_two(rows)
+        for name in StripeFit.__slots__:
+            getattr(fit, name)[np.searchsorted(rows, two.rows)] = getattr(two.first, name)
         samples = self.curves.samples(pixels)
         curve, _, _ = looked_up(samples, fit.place_px, fit.log_width, shape=prior.shape, table=self.curves.table)
         return fit.background[:, None] + fit.amplitude[:, None] * curve

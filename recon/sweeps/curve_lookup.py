@@ -1,5 +1,7 @@
 """Each pixel's curve at its own samples, looked up in the table of all curves."""
 
+from functools import lru_cache
+
 import numpy as np
 from jaxtyping import Float64, Int64
 
@@ -29,8 +31,9 @@ def looked_up(
     return found[0], found[1], found[2]
 
 
+@lru_cache(maxsize=4)
 def table_arrays(table: CurveTable) -> TableArrays:
-    """Return the table for compiled loops."""
+    """Return the table for compiled loops, which see the curves that are filled in later, too."""
     _, nodes, alignments, entries = table.value.shape
     return TableArrays(
         value=table.value.ravel(),

@@ -54,6 +54,20 @@ class SweepCurves:
 
 
 @compiled
+def write_weights(
+    height: np.ndarray, usable: np.ndarray, read: float, gain: float, relative: float, weight: np.ndarray
+) -> None:
+    """Write one over the variance ``read + gain·h + (relative·h)²`` of samples [pixels, samples]; zero for those not usable."""
+    # In the precision of the samples: all lanes of a core divide at once.
+    constant, linear, square = np.float32(read), np.float32(gain), np.float32(relative * relative)
+    for pixel in range(len(height)):
+        for s in range(np.uintp(height.shape[1])):
+            light = max(np.float32(height[pixel, s]), np.float32(0))
+            variance = constant + light * (linear + light * square)
+            weight[pixel, s] = (np.float32(1) if usable[pixel, s] else np.float32(0)) / variance
+
+
+@compiled
 def write_samples(
     pixels: np.ndarray,
     samples: np.ndarray,

@@ -12,18 +12,17 @@ from recon.sessions.manifest import StripePattern
 from recon.sweeps.curve_fits import CurveFits, good_fit, prepared_fits
 from recon.sweeps.curve_samples import SweepCurves
 from recon.sweeps.curve_table import curve_table
+from recon.sweeps.fitted_pixels import keep_second_paths, nothing_fitted
 from recon.sweeps.map_scatter import scatter_beyond
 from recon.sweeps.neighbour_places import told_by_neighbours
 from recon.sweeps.stripe_fit import angular_px
 from recon.sweeps.stripe_peak import PeakWindows
-from recon.sweeps.two_paths import unresolved_px
+from recon.sweeps.two_paths import rows_seen_twice, unresolved_px
 
 # Fitted and written into the maps at a time: what is made of them is small beside the maps of a large photo.
 PIXELS_AT_ONCE = 1 << 16
 # One good curve in a thousand is taken for a bad one, whose own misfit then widens its sd.
 OWN_MISFIT_CHANCE = 1e-3
-# The median misfit of so many curves is that of all.
-MISFIT_PIXELS = 1 << 20
 # A curve still this high, as a share of its peak, at an end of its window shows one flank alone: its centre lies anywhere.
 CUT_OFF_LEVEL = 0.5
 SCALE_WINDOW_PX = 11
@@ -81,57 +80,45 @@ def places_by_likelihood(
     curves = SweepCurves(windows, table, black.ravel(), clipped)
     fits = prepared_fits(curves, pixels, grid=black.shape, dark_variance=dark_variance)
     give_back_free_memory()
-    place_px, sd_px = (np.full(black.shape, np.nan, dtype=np.float32) for _ in range(2))
-    # What no map is returned of is kept for the listed pixels alone: often these are a small part of the photo.
-    misfit, freedom, width_px, light = (np.empty(len(pixels), dtype=np.float32) for _ in range(4))
+    fitted = nothing_fitted(fits, black.shape)
     reach_px = np.full(len(pixels), np.nan, dtype=np.float16)
-    unresolved: list[tuple[np.ndarray, np.ndarray]] = []
-    twice, second_px, second_sd_px, second_width_px = [pixels[:0]], [np.empty(0)], [np.empty(0)], [np.empty(0)]
+    merged, merged_by_px = [pixels[:0]], [np.empty(0, dtype=np.float32)]
     for low in range(0, len(pixels), PIXELS_AT_ONCE):
         rows = slice(low, low + PIXELS_AT_ONCE)
-        fit, prior, two = fits.fit(rows)
-        part = pixels[rows]
-        cut_off = _cut_off(curves, part)
-        # The other peak may reach into the window's end, and its light has been taken away.
-        cut_off[two.rows] = False
-        good = good_fit(fit, pattern, noise=fits.noise) & ~cut_off
-        misfit[rows], freedom[rows], width_px[rows] = fit.chi_square / fit.freedom, fit.freedom, np.exp(fit.log_width)
-        light[rows] = fit.amplitude
-        place_px.ravel()[part[good]], sd_px.ravel()[part[good]] = fit.place_px[good], fit.sd_px[good]
-        unsure = unresolved_px(fit, prior)
-        unsure[two.rows] = 0.0
-        unresolved.append((part[unsure > 0], unsure[unsure > 0].astype(np.float32)))
+        fit, prior = fits.fit(rows)
+        fitted.keep(rows, fit, good_fit(fit, pattern, noise=fits.noise) & ~_cut_off(curves, pixels[rows]))
+        unsure_px = unresolved_px(fit, prior)
+        unsure = np.flatnonzero(unsure_px)
+        merged.append(pixels[rows][unsure])
+        merged_by_px.append(unsure_px[unsure].astype(np.float32))
         flat = np.exp(prior.log_width) < angular_px(table)
         reach_px[rows][flat] = fits.footprints.box_px[rows][flat].sum(axis=1)
-        twice.append(part[two.rows])
-        second_px.append(two.second.place_px)
-        second_width_px.append(np.exp(two.second.log_width))
-        ratio = two.second.chi_square / two.second.freedom
-        second_sd_px.append(two.second.sd_px * np.sqrt(np.maximum(ratio, 1.0)))
+    second = keep_second_paths(fitted, rows_seen_twice(windows, pixels), at_once=PIXELS_AT_ONCE)
     give_back_free_memory()
-    few = misfit[:: max(len(pixels) // MISFIT_PIXELS, 1)]
-    usual_misfit = float(np.median(few)) if len(few) else float("nan")
-    _widen_by_misfit(sd_px, misfit, freedom, pixels)
-    del misfit, freedom
-    for unsure_pixels, unsure_px in unresolved:
-        sd_px.ravel()[unsure_pixels] = np.hypot(sd_px.ravel()[unsure_pixels], unsure_px)
+    usual_misfit, light = fitted.usual_misfit(), fitted.light
+    place_px, sd_px, width_px = fitted.place_px, fitted.sd_px, fitted.width_px
+    _widen_by_misfit(sd_px, fitted.misfit, fitted.freedom, pixels)
+    del fitted
+    unresolved = np.concatenate(merged)
+    alone = ~np.isin(unresolved, second.pixels)
+    unresolved = unresolved[alone]
+    sd_px.ravel()[unresolved] = np.hypot(sd_px.ravel()[unresolved], np.concatenate(merged_by_px)[alone])
     width_px = _laid(width_px, pixels, slice(0, len(black)), columns=black.shape[1])
     beyond = scatter_beyond(place_px, sd_px, width_px)
     width_px *= np.float32(beyond)
     np.hypot(sd_px, width_px, out=sd_px)
     del width_px
     trusted = np.ones(black.shape, dtype=bool)
-    for doubled in (*twice, *(unsure_pixels for unsure_pixels, _ in unresolved)):
-        trusted.ravel()[doubled] = False
+    trusted.ravel()[second.pixels] = trusted.ravel()[unresolved] = False
     reach_map_px = np.full(black.shape, np.nan, dtype=np.float16)
     reach_map_px.ravel()[pixels] = reach_px
     place_px, sd_px = told_by_neighbours(place_px, sd_px, trusted=trusted, reach_px=reach_map_px)
     return LikelihoodPlaces(
         place_px=place_px,
         sd_px=sd_px,
-        twice=np.concatenate(twice),
-        second_px=np.concatenate(second_px),
-        second_sd_px=np.hypot(np.concatenate(second_sd_px), beyond * np.concatenate(second_width_px)),
+        twice=second.pixels,
+        second_px=second.place_px,
+        second_sd_px=np.hypot(second.sd_px, beyond * second.width_px),
         light=light,
         misfit=usual_misfit,
         fits=fits,

@@ -11,8 +11,8 @@ from recon.sweeps.stripe_peak import NO_PEAK, PeakWindows, SecondPeaks
 
 Counts = np.ndarray  # [rows, cols] uint8 or uint16
 
-# So many pixels are first compared together, for in most of such blocks none is brighter than ever.
-BLOCK_PIXELS = 256
+# Of so many pixels the brightest is found first: mostly it is no brighter than what the darkest of them must exceed.
+BLOCK_PIXELS = 128
 
 
 class PeakTracker:
@@ -31,6 +31,10 @@ class PeakTracker:
         nothing = np.zeros(floor.size, dtype=floor.dtype)
         self._ring = [nothing] * (2 * half_width + 1)
         self._nothing = nothing
+        starts = np.arange(0, floor.size, BLOCK_PIXELS)
+        self._least = np.minimum.reduceat(floor.ravel(), starts)
+        # Of the photos whose test is to come: the brightest of each block.
+        self._brightest = [np.zeros_like(self._least)] * half_width
         # Pages of memory that are not written to are never taken.
         self._found = np.empty(floor.size, dtype=np.int32)
         self._fed = 0
@@ -42,6 +46,10 @@ class PeakTracker:
         self._fed += 1
         return self._push(counts.ravel())
 
+    def brightest(self) -> int:
+        """Return the brightest count of the photo that was fed last."""
+        return int(self._brightest[-1].max())
+
     def finish(self) -> PeakWindows:
         """Test the photos still in the window and return the result."""
         for _ in range(self._half_width):
@@ -51,16 +59,20 @@ class PeakTracker:
     def _push(self, counts: np.ndarray) -> np.ndarray | None:
         oldest = self._ring.pop(0)
         self._ring.append(counts)
+        self._brightest.append(np.empty_like(self._least))
+        write_brightest(counts, self._brightest[-1])
         self._pushed += 1
         index = self._pushed - 1 - self._half_width
+        blocks = self._brightest.pop(0)
         if 0 <= index < self._fed:
-            self._test(index)
+            self._test(index, np.flatnonzero(blocks > self._least))
         return None if oldest is self._nothing else oldest.reshape(self._shape)
 
-    def _test(self, index: int) -> None:
+    def _test(self, index: int, blocks: np.ndarray) -> None:
         before, centre, after = (self._ring[self._half_width + neighbour] for neighbour in (-1, 0, 1))
         first, second = self._first, self._second
-        count = brighter_peaks(before, centre, after, (first if second is None else second).brightest, self._found)
+        brightest = (first if second is None else second).brightest
+        count = brighter_peaks(blocks, before, centre, after, brightest, self._found)
         pixels = self._found[:count]
         height = centre.take(pixels)
         if second is not None:
@@ -75,16 +87,33 @@ class PeakTracker:
 
 
 @compiled
+def write_brightest(photo: np.ndarray, brightest: np.ndarray) -> None:
+    """Write the brightest count of each block of a photo [pixels]."""
+    for block in range(len(brightest)):
+        # Indices without a sign: those with one are searched for negative ones, pixel by pixel.
+        low = np.uintp(block * BLOCK_PIXELS)
+        most = photo[low]
+        for pixel in range(low, np.uintp(min((block + 1) * BLOCK_PIXELS, len(photo)))):
+            most = max(most, photo[pixel])
+        brightest[block] = most
+
+
+@compiled
 def brighter_peaks(
-    before: np.ndarray, centre: np.ndarray, after: np.ndarray, brightest: np.ndarray, found: np.ndarray
+    blocks: np.ndarray,
+    before: np.ndarray,
+    centre: np.ndarray,
+    after: np.ndarray,
+    brightest: np.ndarray,
+    found: np.ndarray,
 ) -> int:
-    """Write which pixels of a photo [pixels] are brighter than ever, and no darker than before and after; return how many.
+    """Write which pixels in some blocks of a photo are brighter than ever, and no darker than before and after; return how many.
 
     Only a local maximum can be the brightest of all: a rising flank is not written again and again.
     """
     count = 0
-    for low in range(0, len(centre), BLOCK_PIXELS):
-        # Indices without a sign: those with one are searched for negative ones, pixel by pixel.
+    for number in range(len(blocks)):
+        low = blocks[number] * BLOCK_PIXELS
         block = range(np.uintp(low), np.uintp(min(low + BLOCK_PIXELS, len(centre))))
         some = False
         for pixel in block:

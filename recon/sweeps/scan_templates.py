@@ -1,5 +1,7 @@
 """The curves that scans compare samples with: rows of the table, with the entries of the scan's places alone."""
 
+from functools import lru_cache
+
 import numpy as np
 from jaxtyping import Float64, Int64
 
@@ -10,14 +12,14 @@ from recon.sweeps.stripe_scan import COARSE_PLACES_A_STEP, FINE_PLACES_A_PX, HER
 COARSE_SHAPE = SHAPES.index((0.5, 0.5))
 
 
-def coarse_templates(
-    table: CurveTable, log_width: Float64[np.ndarray, " pixels"]
-) -> tuple[Templates, Int64[np.ndarray, " pixels"]]:
-    """Return the templates to find a start with, and each pixel's row among them."""
-    node = table.nearest_node(log_width)
-    return _templates(
+@lru_cache(maxsize=4)
+def coarse_templates(table: CurveTable) -> Templates:
+    """Return the templates to find a start with, one row for each node of the widths."""
+    node = np.arange(len(table.log_width))
+    templates, _ = _templates(
         table, np.full_like(node, COARSE_SHAPE), node, spacing=table.entries_a_step // COARSE_PLACES_A_STEP
     )
+    return templates
 
 
 def fine_templates(

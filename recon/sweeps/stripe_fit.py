@@ -13,7 +13,7 @@ import numpy as np
 from jaxtyping import Float64, Int, Int64
 
 from recon.sweeps.curve_lookup import table_arrays
-from recon.sweeps.curve_samples import CurveSamples, SweepCurves
+from recon.sweeps.curve_samples import CurveSamples, SweepCurves, write_weights
 from recon.sweeps.curve_table import CurveTable
 from recon.sweeps.noise import NoiseModel
 from recon.sweeps.scan_templates import coarse_templates, fine_templates
@@ -83,7 +83,7 @@ def _fit_block(
     """Scan, walk, and where the curve is angular take the likelihood's own mean and spread."""
     known = (prior.shape, prior.log_width, prior.sd)
     weight, place_px = weights_of(samples.height, samples, noise), np.empty(len(samples.peak))
-    templates, row = coarse_templates(table, prior.log_width)
+    row, templates = table.nearest_node(prior.log_width), coarse_templates(table)
     best_places(samples.height, weight, 1 / noise.read_variance, samples.peak, row, templates, place_px)
     # The samples' own counts gave the first weights; the curve's heights, free of their noise, give the last.
     pixels = Pixels(samples.height, weight, samples.peak, *known, noise.read_variance, noise.gain, noise.relative)
@@ -156,8 +156,8 @@ def _settled(
 
 def weights_of(height: np.ndarray, samples: CurveSamples, noise: NoiseModel) -> np.ndarray:
     """Return one over the variance that samples of these heights have; zero for those that may not be used."""
-    weight: np.ndarray = np.reciprocal(noise.variance(height), dtype=np.float32)
-    weight *= samples.usable
+    weight = np.empty(height.shape, dtype=np.float32)
+    write_weights(height, samples.usable, noise.read_variance, noise.gain, noise.relative, weight)
     return weight
 
 

@@ -29,7 +29,7 @@ HERMITE_WEIGHTS = (2 / 3, 1 / 6, 1 / 6)
 LANES = 32
 # What is loaded and stored for one sample does for three, and the compiler knows how many places there are.
 SAMPLES_AT_ONCE = 3
-PLACES_AT_ONCE = 48
+PLACES_AT_ONCE = 32
 ZERO, SIXTH, HALF, ONE, FOUR, FIVE = (np.float32(number) for number in (0, 1 / 6, 0.5, 1, 4, 5))
 LEAST_SQUARE, LEAST_SHARE = np.float32(1e-12), np.float32(1e-6)
 # The exponential of less than this is nothing beside one.
@@ -74,7 +74,8 @@ def best_places(
     half = count // 2
     reach = SCAN_STEPS * COARSE_PLACES_A_STEP
     first = np.full(pixels, templates.middle - reach)
-    explained = np.empty((LANES, 2 * reach + 1), dtype=np.float32)
+    # As many places as are tried at once: the last one to the right would have them tried twice.
+    explained = np.empty((LANES, 2 * reach), dtype=np.float32)
     for low in range(0, pixels, LANES):
         high = min(low + LANES, pixels)
         _explain(low, high, height, weight, black_weight, peak, number, templates, first, explained)

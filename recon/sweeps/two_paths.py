@@ -114,6 +114,14 @@ def two_paths(
     return TwoPaths(rows, brighter, lesser).some(top >= SECOND_SIGMA * noise_sd)
 
 
+def rows_seen_twice(windows: PeakWindows, pixels: Int[np.ndarray, " pixels"]) -> Int64[np.ndarray, " some"]:
+    """Return which of the listed pixels, in ascending order, have a second maximum, be it noise or light."""
+    if windows.second is None or not len(pixels):
+        return np.empty(0, dtype=np.int64)
+    rows = np.minimum(np.searchsorted(pixels, windows.second.pixels), len(pixels) - 1)
+    return rows[pixels[rows] == windows.second.pixels]
+
+
 def unresolved_px(fit: StripeFit, prior: WidthPrior) -> Float64[np.ndarray, " pixels"]:
     """Return how far two light paths whose peaks are one may be from the middle of both: by what a curve is wider than its
     neighbours say, where that is no chance; else 0.
