@@ -4,6 +4,7 @@ import resource
 import sys
 import time
 from concurrent.futures import ThreadPoolExecutor
+from importlib import import_module
 from pathlib import Path
 
 import cv2
@@ -12,17 +13,20 @@ import numpy as np
 from recon.batch.own_processes import OwnProcesses, WorkerLostError
 from recon.bench.bench_result import Measurement
 from recon.bench.bench_session import BenchSession
-from recon.bench.contestants import CONTESTANTS, sweep_files
+from recon.bench.contestants import CONTESTANTS, FULL, PAPER, sweep_files
 from recon.errors import ReconError
 from recon.sessions.session import open_session
 
-# What a sweep loads, with the compiler, when it is decoded.
-LOADED_WHEN_NEEDED = ("recon.sweeps.peak_tracker", "recon.sweeps.likelihood")
+# What a sweep loads, with the compiler, when it is decoded; the paper's needs no fit.
+LOADED_WHEN_NEEDED = {
+    PAPER: ("recon.sweeps.peak_tracker",),
+    FULL: ("recon.sweeps.peak_tracker", "recon.sweeps.likelihood"),
+}
 
 
 def own_processes() -> OwnProcesses:
     """Return what gives every measurement a process of its own, one at a time, with the libraries loaded when it starts."""
-    return OwnProcesses(1, threads=1, preload=(__name__, *LOADED_WHEN_NEEDED))
+    return OwnProcesses(1, threads=1, preload=(__name__,))
 
 
 def measured(
@@ -46,6 +50,8 @@ def _measure(session: BenchSession, contestant: str, threads: int, map_file: Pat
     for path in sweep_files(opened):
         path.read_bytes()  # no contestant waits for the disk
     run = CONTESTANTS[contestant]
+    for module in LOADED_WHEN_NEEDED.get(contestant, ()):
+        import_module(module)
     at_start_mb = peak_mb()
     with ThreadPoolExecutor(threads) as pool:
         wall_s, processor_s = time.perf_counter(), time.process_time()
