@@ -17,8 +17,9 @@ def test_a_pixel_of_the_last_block_is_found_like_one_of_the_first() -> None:
     tracker = PeakTracker(np.full(shape, 9, np.uint8), half_width=1)
     for index in range(4):
         counts = np.full(shape, 5, np.uint8)
-        counts.ravel()[lit[index]] = 200
+        counts.ravel()[lit[index]] = 200 + index
         tracker.feed(counts)
+        assert tracker.brightest() == 200 + index
     found = tracker.finish().peak_index
     assert found[lit].tolist() == [0, 1, 2, 3]
     assert np.count_nonzero(found != NO_PEAK) == 4

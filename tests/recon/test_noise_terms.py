@@ -1,9 +1,10 @@
-"""Two factors that are not negative, by SciPy's own solver; leverages, by the hat matrix of a linear model."""
+"""Weights, by the photon transfer curve; two factors that are not negative, by SciPy's own solver; leverages, by the hat matrix of a linear model."""
 
 import numpy as np
 import pytest
 from scipy.optimize import nnls
 
+from recon.sweeps.curve_samples import write_weights
 from recon.sweeps.leverage import write_leverage
 from recon.sweeps.noise import _two_not_negative
 
@@ -40,3 +41,12 @@ def test_what_is_known_of_the_background_and_the_width_takes_leverage_away() -> 
     assert leverage[0, 0] == pytest.approx(1 / 4, rel=1e-6)
     write_leverage(nothing, nothing, 2 * one, one, 1e5, 12 * np.ones(1), leverage)
     assert leverage[0, 0] == pytest.approx(4 / 16, rel=1e-3)
+
+
+def test_a_sample_weighs_one_over_its_variance_by_the_photon_transfer_curve_or_nothing() -> None:
+    height = np.array([[-3.0, 0.0, 10.0, 10.0]], dtype=np.float32)
+    usable = np.array([[True, True, True, False]])
+    weight = np.empty((1, 4), dtype=np.float32)
+    write_weights(height, usable, 4.0, 0.5, 0.1, weight)
+    # Read noise of 2 counts; then 5 of shot noise and (1 count)² of what grows with the signal; no light has less than none.
+    np.testing.assert_allclose(weight, [[1 / 4, 1 / 4, 1 / (4 + 5 + 1), 0]], rtol=1e-6)
