@@ -1,4 +1,4 @@
-"""Weights, by the photon transfer curve; two factors that are not negative, by SciPy's own solver; leverages, by the hat matrix of a linear model."""
+"""Weights by the photon transfer curve, two factors that are not negative by SciPy's solver, leverages by the hat matrix."""
 
 import numpy as np
 import pytest
