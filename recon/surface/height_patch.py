@@ -12,7 +12,7 @@ from recon.surface.error_draws import standard_deviation
 from recon.surface.lateral_places import LateralPlaces
 from recon.surface.noise_reference import NoiseReference
 from recon.surface.ray_chords import Mask, ScalarMap, VectorMap
-from recon.surface.window_bias import Slopes, without_bias
+from recon.surface.window_bias import ClearSlopes, Slopes, bias_left, without_bias
 from recon.surface.window_quadratic import Lines, WindowFit
 
 # One in a thousand smooth normals is turned down for its noise.
@@ -80,13 +80,13 @@ def patch_of(
     fit: WindowFit,
     place: Sight,
     mask: Mask,
-    before: Slopes,
+    before: ClearSlopes,
     trust: ScalarMap,
     noise: NoiseReference,
     *,
     half_width: int,
     smaller: int,
-) -> tuple[Patch, Slopes]:
+) -> tuple[Patch, ClearSlopes]:
     """Let each pixel's line of sight meet its polynomial, and carry the draws and the lateral place's sd along.
 
     ``before`` are the slopes of the next smaller window; those of this one are returned for the next larger. ``whole_bias`` times
@@ -103,7 +103,8 @@ def patch_of(
     facing = normal[0] * sight[0] + normal[1] * sight[1] + sight[2] / length
     facing = np.where(np.abs(facing) > 1e-3, facing, 1e-3)
     now = Slopes(slopes, fit.drawn[1:], fit.variance[1] + fit.variance[2])
-    clear, left = without_bias(now, before, trust, noise.depth_px, noise.within, half_width=half_width, smaller=smaller)
+    sizes = {"half_width": half_width, "smaller": smaller}
+    clear, left, left_drawn = without_bias(now, before, trust, noise.depth_px, noise.within, **sizes)
     noisy = clear.drawn.copy()
     slide_variance = np.zeros(mask.shape)
     for axis, variance, error in zip(place.across, place.variance, place.error, strict=True):
@@ -114,16 +115,28 @@ def patch_of(
         _, _, _, pp, pq, qq = fit.coefficients
         noisy[0] += (2 * pp * move[0] + pq * move[1]).astype(np.float32) * error
         noisy[1] += (pq * move[0] + 2 * qq * move[1]).astype(np.float32) * error
-    noise_squared = noise.smoothed(_mean_tilt_squared(noisy, normal, length), now.variance, mask, half_width=half_width)
+    # Smaller windows are not used, and their noise is not that of the others.
+    enough = mask & (fit.count >= FEWEST_PLACES)
+    noise_squared = noise.smoothed(
+        _mean_tilt_squared(noisy, normal, length), now.variance, enough, half_width=half_width
+    )
+    bias_squared = bias_left(
+        _mean_tilt_squared(left[:, None], normal, length),
+        _mean_tilt_squared(left_drawn, normal, length),
+        before,
+        enough & noise.within,
+        noise.depth_px,
+        **sizes,
+    )
     lifted = standard_deviation(fit.drawn[0], mask) / length
     patch = Patch(
         point=point,
         normal=_unit(-clear.slope[0], -clear.slope[1]),
         sd=np.sqrt(slide_variance + (lifted / facing) ** 2),
         across_sd=lifted,
-        normal_sd=np.sqrt(noise_squared + _mean_tilt_squared(left[:, None], normal, length)),
+        normal_sd=np.sqrt(noise_squared + bias_squared),
     )
-    return patch, now
+    return patch, ClearSlopes(now, clear, bias_squared)
 
 
 def _unit(p: ScalarMap, q: ScalarMap) -> VectorMap:
@@ -135,11 +148,11 @@ def _unit(p: ScalarMap, q: ScalarMap) -> VectorMap:
 def _mean_tilt_squared(
     slopes: Float[np.ndarray, "2 draws rows cols"], normal: Float64[np.ndarray, "2 rows cols"], length: ScalarMap
 ) -> ScalarMap:
-    """Return the mean square of the angles by which changes of the slopes turn the normal."""
+    """Return the mean square of the angles by which changes of the slopes turn the normal; 0 without any."""
     along = slopes[0] * normal[0].astype(slopes.dtype) + slopes[1] * normal[1].astype(slopes.dtype)
     squares = np.einsum("adrc,adrc->rc", slopes, slopes, dtype=np.float64)
     squares -= np.einsum("drc,drc->rc", along, along, dtype=np.float64)
-    return np.maximum(squares, 0.0) / (slopes.shape[1] * length**2)
+    return np.maximum(squares, 0.0) / (max(slopes.shape[1], 1) * length**2)
 
 
 def beyond_noise(fit: WindowFit, mask: Mask) -> ScalarMap:

@@ -7,8 +7,8 @@ import numpy as np
 
 from recon.surface.ray_chords import Mask, ScalarMap
 
-# Pixels as deep inside the surface are alike: by themselves where windows are cut or lean on cut ones, then some together.
-DEPTHS_PX = (1, 2, 3, 4, 5, 6, 7, 8, 9, 11, 14, 18, 26)
+# Pixels as deep inside the surface are alike where windows are cut or lean on cut ones; all deeper ones are.
+DEPTHS_PX = (1, 2, 3, 4, 5, 6, 7, 8)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -31,6 +31,8 @@ class NoiseReference:
         Where it is less than typical, that is not so of the noise, which neighbours share.
         """
         told = mask & self.within
+        if not told.any():
+            return np.full(mask.shape, np.nan)
         whole = told & (self.depth_px > half_width)
         typical = float(np.median(slope_variance[whole if whole.any() else told]))
         reference = self.turn_sd_rad**2 * np.maximum(slope_variance / typical, 1.0)

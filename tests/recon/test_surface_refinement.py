@@ -8,7 +8,7 @@ from recon.evaluation.spread import angle_between_rad
 from recon.maps import Maps, Support
 from recon.surface.noise_reference import NoiseReference, depth_of
 from recon.surface.surface_stage import surface_of
-from recon.surface.window_bias import Slopes, without_bias
+from recon.surface.window_bias import ClearSlopes, Slopes, bias_left, without_bias
 from recon.surface.window_means import weighted_means
 from recon.surface.window_quadratic import Lines, WindowFit, fit_windows
 from sim_backend.scene import load_scene
@@ -111,31 +111,59 @@ def test_slopes_of_a_surface_that_bends_ever_more_lose_the_bias_of_their_window_
     )
     true = 3e-3 * p**2
     depth_px, within = np.full(p.shape, 99.0), trust > 0
-    clear, left = without_bias(large, small, trust, depth_px, within, half_width=4, smaller=2)
+    clear, left, _ = without_bias(large, as_fitted(small), trust, depth_px, within, half_width=4, smaller=2)
     assert large.slope[0, 20, 20] - true[20, 20] == pytest.approx(1e-3 * 11.8, rel=1e-9)
     assert clear.slope[0, 20, 20] == pytest.approx(true[20, 20], abs=1e-12)
     assert left[0, 20, 20] == pytest.approx(0, abs=1e-12)
-    measured = Slopes(np.stack([true, 0 * p]), np.zeros((2, 0, *p.shape), np.float32), 0 * p)
-    kept, left = without_bias(large, measured, trust, depth_px, within, half_width=4, smaller=0)
+    measured = as_fitted(Slopes(np.stack([true, 0 * p]), np.zeros((2, 0, *p.shape), np.float32), 0 * p))
+    kept, left, _ = without_bias(large, measured, trust, depth_px, within, half_width=4, smaller=0)
     assert kept is large
     assert left[0, 20, 20] == pytest.approx(1e-3 * 11.8, rel=1e-9)
 
 
-def test_a_window_cut_at_the_rim_keeps_its_slopes_and_is_told_the_bias_of_the_outermost_whole_ones() -> None:
-    small, large = (
-        Slopes(np.full((2, 20, 20), slope), np.full((2, 1, 20, 20), slope, np.float32), np.ones((20, 20)))
-        for slope in (0.0, 0.1)
-    )
-    mask = np.ones((20, 20), dtype=bool)
+def test_a_window_that_the_rim_cuts_is_held_against_the_smaller_one_where_that_is_whole() -> None:
+    small, before, large = (everywhere(slope) for slope in (0.0, 0.02, 0.1))
+    mask, ones = np.ones((20, 20), dtype=bool), np.ones((20, 20))
     depth_px = depth_of(np.pad(mask, 1))[1:-1, 1:-1]
-    cut = depth_px <= 4
+    both_cut, held = depth_px <= 2, (depth_px > 2) & (depth_px <= 4)
     # Six pixels in, the windows differ by twice as much; that is none of the cut ones' business.
     for slopes in (large.slope, large.drawn):
         slopes[..., depth_px > 5] *= 2
-    clear, left = without_bias(large, small, np.ones((20, 20)), depth_px, mask, half_width=4, smaller=2)
-    assert np.allclose(clear.slope[..., cut], 0.1)
-    assert np.allclose(clear.drawn[..., cut], 0.1)
-    assert np.allclose(left[:, cut], 0.1 * 11.8 / (11.8 - 3.4), rtol=0.1)
+    known = ClearSlopes(small, before, 0.01 * ones)
+    clear, left, left_drawn = without_bias(large, known, ones, depth_px, mask, half_width=4, smaller=2)
+    for found, over in ((clear.slope, left), (clear.drawn, left_drawn)):
+        assert np.allclose(found[..., both_cut], 0.1)
+        assert np.allclose(over[..., both_cut], 0.1 * 11.8 / (11.8 - 3.4), rtol=0.1)
+        assert np.allclose(found[..., held], 0.02)
+        assert np.allclose(over[..., held], 0.0, atol=1e-7)
+    nothing = np.zeros(mask.shape)
+    told = bias_left(nothing, nothing, known, mask, depth_px, half_width=4, smaller=2)
+    assert np.allclose(told[held], 0.01)
+    assert np.allclose(told[~held], 0.0)
+
+
+def test_what_is_left_of_the_bias_is_told_without_the_noise_in_it() -> None:
+    rng = np.random.default_rng(0)
+    bias, noise_sd, pixels = 0.01, 0.02, 33**2
+    fields = noise_sd * rng.standard_normal((5, 67, 67))
+    square, noise_square = (bias + fields[0]) ** 2, (fields[1:] ** 2).mean(axis=0)
+    mask, depth_px = np.ones(square.shape, dtype=bool), np.full(square.shape, 99.0)
+    before = as_fitted(everywhere(0.0, size=67))
+    told = bias_left(square, noise_square, before, mask, depth_px, half_width=4, smaller=2)
+    # Var (b + e)² = 4 b² s² + 2 s⁴; four draws add 2 s⁴ / 4.
+    sd = np.sqrt((4 * bias**2 * noise_sd**2 + 2.5 * noise_sd**4) / pixels)
+    assert told[33, 33] == pytest.approx(bias**2, abs=3 * sd)
+    assert 3 * sd < noise_sd**2
+
+
+def everywhere(slope: float, *, size: int = 20) -> Slopes:
+    """Return the same slopes at every pixel, and in a draw."""
+    shape = (size, size)
+    return Slopes(np.full((2, *shape), slope), np.full((2, 1, *shape), slope, np.float32), np.ones(shape))
+
+
+def as_fitted(slopes: Slopes) -> ClearSlopes:
+    return ClearSlopes(slopes, slopes, np.zeros(slopes.variance.shape))
 
 
 @pytest.mark.parametrize("window_px", [5, 9, 17])
