@@ -102,6 +102,15 @@ class CurveTable:
         return round(self.pattern.step_px / self.spacing_px)
 
     @property
+    def flat_px(self) -> float:
+        """Return over how many device pixels the sharpest footprint's place may not show in its curve.
+
+        A hard stripe looks the same from anywhere within its step, any other one from anywhere within a device pixel.
+        """
+        step = self.pattern.step_px
+        return step if self.pattern.profile == "hard" else min(step, 1.0)
+
+    @property
     def middle_entry(self) -> int:
         """Return the entry of a distance of zero."""
         return round(self.reach_px / self.spacing_px) + self.pad * self.entries_a_step

@@ -6,7 +6,7 @@ import numpy as np
 from jaxtyping import Float64, Int64
 
 from recon.sweeps.curve_table import SHAPES, CurveTable
-from recon.sweeps.stripe_scan import COARSE_PLACES_A_STEP, FINE_PLACES_A_PX, HERMITE_NODES, Templates
+from recon.sweeps.stripe_scan import COARSE_PLACES_A_STEP, FINE_PLACES_A_PX, HERMITE_NODES, MOST_FINE_PLACES, Templates
 
 # One shape of footprint does for finding where the walk starts.
 COARSE_SHAPE = SHAPES.index((0.5, 0.5))
@@ -33,7 +33,8 @@ def fine_templates(
     A width that is known well has one node, and one row: the others are -1.
     """
     node = np.stack([table.nearest_node(log_width + shift * sd) for shift in HERMITE_NODES])
-    spacing = int(min(table.pattern.step_px, 1.0) / FINE_PLACES_A_PX / table.spacing_px + 1e-6)
+    finest_px = max(min(table.pattern.step_px, 1.0) / FINE_PLACES_A_PX, table.flat_px / MOST_FINE_PLACES)
+    spacing = int(finest_px / table.spacing_px + 1e-6)
     templates, row = _templates(table, np.broadcast_to(shape, node.shape), node, spacing=spacing)
     row[1:][node[1:] == node[0]] = -1
     return templates, row
@@ -56,6 +57,7 @@ def _templates(
         places_a_step=table.entries_a_step // spacing,
         spacing_px=spacing * table.spacing_px,
         step_px=float(table.pattern.step_px),
+        flat_px=float(table.flat_px),
         alignment_of=table.alignment_of,
         pad=table.pad,
     )

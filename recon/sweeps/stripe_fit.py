@@ -21,8 +21,9 @@ from recon.sweeps.stripe_scan import best_places, place_spreads
 from recon.sweeps.stripe_walk import Pixels, step_pixels, weigh_pixels
 
 GAUSS_NEWTON_STEPS = 6
-# Curves of narrower footprints have flat tops and sharp corners, on which curvature says nothing (device pixels).
-ANGULAR_HARD_PX = 0.3
+# Curves of narrower footprints have flat tops and sharp corners, on which curvature says nothing: a box as wide as the step of a
+# hard stripe has a standard deviation of 1 / √12 steps.
+ANGULAR_HARD_STEPS = 0.3
 ANGULAR_STEPPED_PX = 0.6
 # What is made of so many pixels stays in a core's own cache, and calls are few beside the work in them.
 PIXELS_A_BLOCK = 8192
@@ -163,6 +164,5 @@ def weights_of(height: np.ndarray, samples: CurveSamples, noise: NoiseModel) -> 
 
 def angular_px(table: CurveTable) -> float:
     """Return the width of a footprint below which curves have flat tops and sharp corners."""
-    if not table.continuous:
-        return ANGULAR_STEPPED_PX
-    return ANGULAR_HARD_PX * table.pattern.step_px if table.pattern.profile == "hard" else 0.0
+    hard_px = ANGULAR_HARD_STEPS * table.pattern.step_px if table.pattern.profile == "hard" else 0.0
+    return hard_px if table.continuous else max(hard_px, ANGULAR_STEPPED_PX)

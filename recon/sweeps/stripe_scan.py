@@ -18,10 +18,11 @@ from recon.compiled import compiled
 # The stripe that looks brightest is rarely farther than this from the place, in steps.
 SCAN_STEPS = 2
 COARSE_PLACES_A_STEP = 8
-# An interval is scanned at least this finely, and this far to both sides of its best place, in device pixels or steps (the
-# smaller).
+# An interval is scanned this far to both sides of its best place, in flat stretches of a curve (``CurveTable.flat_px``), and so
+# finely: in device pixels or steps, the smaller, but no more finely than so many to the stretch.
+FINE_REACH = 1.25
 FINE_PLACES_A_PX = 32
-FINE_REACH_PX = 1.25
+MOST_FINE_PLACES = 64
 # Nodes and weights for the mean over a standard normal variable, by Gauss and Hermite's rule of three points.
 HERMITE_NODES = (0.0, -np.sqrt(3.0), np.sqrt(3.0))
 HERMITE_WEIGHTS = (2 / 3, 1 / 6, 1 / 6)
@@ -50,6 +51,7 @@ class Templates(NamedTuple):
     places_a_step: int
     spacing_px: float
     step_px: float
+    flat_px: float
     alignment_of: np.ndarray  # [stripes] int64
     pad: int
 
@@ -108,15 +110,14 @@ def place_spreads(
     where it does for another: amplitude and background are at their best, the width is averaged over what is known of it.
     ``spread`` [3, pixels] float64.
     """
-    unit = min(templates.step_px, 1.0)
-    pixels = len(peak)
-    reach = int(np.ceil(FINE_REACH_PX * unit / templates.spacing_px - 1e-9))
+    flat, pixels = templates.flat_px, len(peak)
+    reach = int(np.ceil(FINE_REACH * flat / templates.spacing_px - 1e-9))
     first = np.empty(pixels, dtype=np.int64)
     for pixel in range(pixels):
         # No start lies beyond the window; what is no number does not either, for no index is checked.
         about = about_px[pixel] if abs(about_px[pixel]) < templates.pad * templates.step_px else 0.0
-        # The grid's middle is that of the nearest device pixel.
-        middle = np.rint(np.rint(about / unit) * unit / templates.spacing_px)
+        # The grid's middle is that of the nearest flat stretch.
+        middle = np.rint(np.rint(about / flat) * flat / templates.spacing_px)
         first[pixel] = templates.middle + int(middle) - reach
     explained = np.empty((LANES, 2 * reach + 1), dtype=np.float32)
     moments = np.empty((3, LANES, 4))
