@@ -177,7 +177,8 @@ def _scalar_panel(settings: ScalarMap, values: Float[np.ndarray, "rows cols"], l
     if finite.any():
         window = window_around(finite, longest_px=longest_px)
         step = window.step
-        low, middle, high = (number(float(v)) for v in np.percentile(values[finite].astype(np.float64), (5, 50, 95)))
+        known = window.part(values)[window.part(finite)].astype(np.float64)
+        low, middle, high = (number(float(v)) for v in np.percentile(known, (5, 50, 95)))
         picture = scalar_picture(
             values,
             window,
