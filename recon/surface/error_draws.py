@@ -63,7 +63,8 @@ def drawn_errors(
     rng = np.random.default_rng(DRAW_SEED)
     places = np.flatnonzero(graph.mask)
     slides = np.zeros((DRAWS, *graph.mask.shape, 3), np.float32)
-    turned_squared, own, turned = np.zeros(len(places)), np.empty(len(places)), np.empty((2, len(graph.first)))
+    turned_squared, own = np.zeros(len(places)), np.empty(len(places))
+    turned = np.empty((2, len(graph.first)), np.float32)
     bend = chords.bend
     solved = []
     # One set is solved while the next is drawn.

@@ -10,9 +10,10 @@ still tangential, so that noise does not enter.
 from collections.abc import Callable
 from dataclasses import dataclass
 
+import cv2
 import numpy as np
 from jaxtyping import Float32
-from scipy.ndimage import distance_transform_edt, median_filter
+from scipy.ndimage import distance_transform_edt
 from scipy.sparse import csr_array
 
 from recon.memory import give_back_free_memory
@@ -21,11 +22,12 @@ from recon.surface.error_draws import (
     DRAWS,
     TURN_WINDOW_PX,
     NoiseAt,
+    NoiseDraw,
     drawn_errors,
     independent_noise,
     standard_deviation,
 )
-from recon.surface.neighbours import Neighbours, components, neighbours_of, normal_equations, pairs_beyond
+from recon.surface.neighbours import Neighbours, neighbours_of, normal_equations, pairs_beyond, parts_of
 from recon.surface.ray_chords import (
     Chords,
     Mask,
@@ -131,8 +133,82 @@ def fuse_on_rays(
     """
     used = _usable(mask, origin_mm, direction, normal, normal_sd_rad, distance_mm, distance_sd_mm)
     graph = neighbours_of(used)
+    maps = (origin_mm, direction, distance_mm, distance_sd_mm, normal, normal_sd_rad)
+    solved = _solved(graph, maps, remeasure, noise, rounds=rounds)
+    distance_map = graph.on_grid(solved.distance)
+    point = origin_mm + distance_map[..., None] * direction
+    # What was measured is not asked for again, and nobody else may hold it: the draws need that room.
+    del maps, origin_mm, distance_mm, distance_sd_mm, normal_sd_rad
+    give_back_free_memory()
+    turn = np.full(used.shape, np.nan)
+    if graph.pixels:
+        errors, slides, turned_squared = drawn_errors(
+            graph,
+            solved.chords,
+            solved.solver.block_solver(solved.system.matrix, relative_tolerance=DRAW_TOLERANCE),
+            solved.noise,
+            weights=(solved.system.chord_weight, solved.system.own_weight),
+            scales=(solved.position_scale, solved.normal_scale),
+            threads=threads,
+        )
+        turn[used] = np.sqrt(turned_squared)
+    else:
+        errors, slides = (
+            np.full((DRAWS, *used.shape), np.nan, np.float32),
+            np.zeros((DRAWS, *used.shape, 3), np.float32),
+        )
+    outlier = np.zeros(used.shape, dtype=bool)
+    outlier[used] = solved.outlier
+    return FusedSurface(
+        distance_mm=distance_map,
+        distance_sd_mm=standard_deviation(errors, used),
+        distance_error_mm=errors,
+        slide_mm=slides,
+        turn_sd_rad=standard_deviation(turn[None], used, window_px=TURN_WINDOW_PX),
+        point_mm=point,
+        position_weight=graph.on_grid(solved.position_weight),
+        outlier=outlier,
+        normal_scale=solved.normal_scale,
+        position_scale=solved.position_scale,
+    )
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class _System:
+    """The normal equations of one round: matrix, and the weight (1 / variance) of every chord and measured distance."""
+
+    matrix: csr_array
+    chord_weight: np.ndarray
+    own_weight: np.ndarray
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class _Solved:
+    """The distances after all rounds, with the equations that their errors obey and the noise of what was measured."""
+
+    distance: PerPixel
+    chords: Chords
+    system: _System
+    solver: SparseSolver
+    noise: NoiseDraw
+    outlier: np.ndarray
+    position_weight: np.ndarray
+    normal_scale: float
+    position_scale: float
+
+
+def _solved(
+    graph: Neighbours,
+    maps: tuple[VectorMap, VectorMap, ScalarMap, ScalarMap, VectorMap, ScalarMap],
+    remeasure: Remeasure | None,
+    noise: NoiseAt | None,
+    *,
+    rounds: int,
+) -> _Solved:
+    """Weigh and solve the equations, a round at a time; ``maps`` are those that :func:`fuse_on_rays` gets, as it does."""
+    origin_mm, direction, distance_mm, distance_sd_mm, normal, normal_sd_rad = maps
     beyond = pairs_beyond(graph)
-    rays = rays_of(origin_mm, direction, distance_mm, distance_sd_mm, normal, normal_sd_rad, used)
+    rays = rays_of(*maps, graph.mask)
     sheets = sheets_of(chords_of(rays, graph, beyond, rays.measured_mm), graph, rays)
     distance = _first_guess(rays, graph, sheets)
     chords = chords_of(rays, graph, beyond, distance)
@@ -151,49 +227,26 @@ def fuse_on_rays(
             solver,
             error_sd=ERROR_SD if number == rounds - 1 else ROUND_ERROR_SD,
         )
+        del chords, pairs, positions
         if remeasure is not None:
             told_mm, told_sd_mm = remeasure(graph.on_grid(distance))
             told = measured_pixels(told_mm, told_sd_mm)
             told_mm, told_sd_mm = np.where(told, told_mm, distance_mm), np.where(told, told_sd_mm, distance_sd_mm)
-            rays = rays_of(origin_mm, direction, told_mm, told_sd_mm, normal, normal_sd_rad, used)
+            rays = rays_of(origin_mm, direction, told_mm, told_sd_mm, normal, normal_sd_rad, graph.mask)
         if number == 0:
             sheets = with_long_jumps(sheets, graph, rays, distance)
         chords = chords_of(rays, graph, beyond, distance)
         pairs = _cut(_reweighted(chords.residual(graph, distance) / np.sqrt(chords.variance)), sheets)
         positions = _position_weights(rays, distance)
         give_back_free_memory()
-    turn = np.full(used.shape, np.nan)
-    if graph.pixels:
-        last = _system(graph, rays, chords, pairs, positions)
-        give_back_free_memory()
-        errors, slides, turned_squared = drawn_errors(
-            graph,
-            chords,
-            solver.block_solver(last.matrix, relative_tolerance=DRAW_TOLERANCE),
-            independent_noise(rays) if noise is None else noise(graph.on_grid(distance), used),
-            weights=(last.chord_weight, last.own_weight),
-            scales=(positions.scale, pairs.scale),
-            threads=threads,
-        )
-        turn[used] = np.sqrt(turned_squared)
-    else:
-        errors, slides = (
-            np.full((DRAWS, *used.shape), np.nan, np.float32),
-            np.zeros((DRAWS, *used.shape, 3), np.float32),
-        )
-    outlier = np.zeros(used.shape, dtype=bool)
-    outlier[used] = sheets.outlier
-    point = np.full(origin_mm.shape, np.nan)
-    point[used] = rays.origin + distance[:, None] * rays.direction
-    return FusedSurface(
-        distance_mm=graph.on_grid(distance),
-        distance_sd_mm=standard_deviation(errors, used),
-        distance_error_mm=errors,
-        slide_mm=slides,
-        turn_sd_rad=standard_deviation(turn[None], used, window_px=TURN_WINDOW_PX),
-        point_mm=point,
-        position_weight=graph.on_grid(positions.weight),
-        outlier=outlier,
+    return _Solved(
+        distance=distance,
+        chords=chords,
+        system=_system(graph, rays, chords, pairs, positions),
+        solver=solver,
+        noise=independent_noise(rays) if noise is None else noise(graph.on_grid(distance), graph.mask),
+        outlier=sheets.outlier,
+        position_weight=positions.weight,
         normal_scale=pairs.scale,
         position_scale=positions.scale,
     )
@@ -211,8 +264,7 @@ def _usable(
     """Return the pixels with a ray and a normal, in parts that hold at least one triangulated distance."""
     complete = [np.isfinite(field).all(axis=2) for field in (origin_mm, direction, normal)]
     used = mask & np.logical_and.reduce(complete) & (normal_sd_rad > 0)
-    graph = neighbours_of(used)
-    part = components(graph.pixels, graph.first, graph.second)
+    part = parts_of(used)
     measured = np.bincount(part, measured_pixels(distance_mm, distance_sd_mm)[used])
     result = used.copy()
     result[used] = measured[part] > 0
@@ -230,18 +282,9 @@ def _first_guess(rays: Rays, graph: Neighbours, sheets: Sheets) -> PerPixel:
     measured = graph.on_grid(np.where(sound, rays.measured_mm, np.nan))
     nearest = distance_transform_edt(np.isnan(measured), return_distances=False, return_indices=True)
     filled = measured[tuple(nearest)]
-    median = median_filter(filled, START_WINDOW_PX)[graph.mask]
+    median = cv2.medianBlur(filled.astype(np.float32), START_WINDOW_PX)[graph.mask].astype(np.float64)
     bends = np.abs(median - rays.measured_mm) * np.sqrt(rays.precision) > START_SD
     return np.where(sound & bends, rays.measured_mm, median)
-
-
-@dataclass(frozen=True, slots=True, eq=False)
-class _System:
-    """The normal equations of one round: matrix, and the weight (1 / variance) of every chord and measured distance."""
-
-    matrix: csr_array
-    chord_weight: np.ndarray
-    own_weight: np.ndarray
 
 
 def _system(graph: Neighbours, rays: Rays, chords: Chords, pairs: _Weights, positions: _Weights) -> _System:

@@ -4,6 +4,7 @@ from dataclasses import dataclass
 
 import numpy as np
 from jaxtyping import Bool, Float64, Int32
+from scipy.ndimage import label
 from scipy.sparse import coo_array, csr_array
 from scipy.sparse.csgraph import connected_components
 
@@ -52,6 +53,11 @@ def pairs_beyond(neighbours: Neighbours) -> tuple[Int32[np.ndarray, " pairs"], I
         starting[first[pairs]], ending[second[pairs]] = pairs, pairs
         before[pairs], after[pairs] = ending[first[pairs]], starting[second[pairs]]
     return before, after
+
+
+def parts_of(mask: Bool[np.ndarray, "rows cols"]) -> Int32[np.ndarray, " pixels"]:
+    """Label the connected parts of a mask, from 0: those of all its pairs."""
+    return np.asarray(label(mask)[0][mask], np.int32) - np.int32(1)
 
 
 def components(

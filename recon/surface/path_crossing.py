@@ -11,11 +11,11 @@ import cv2
 import numpy as np
 from jaxtyping import Bool, Float64
 
+from recon.compiled import compiled
 from recon.geometry.entry_point import EntryPoints
 from recon.geometry.light_paths import LightPaths
 
 PerPath = Float64[np.ndarray, " pixels"]
-Vectors = Float64[np.ndarray, "pixels 3"]
 
 # So many pixels across are averaged for an angle, noise of which is then a ninth.
 ANGLE_WINDOW_PX = 9
@@ -82,21 +82,64 @@ class PathCrossing:
         At that distance the air path passes the liquid path within the mean plane of both; by the mean angle, that many mm are
         still to go. This is linear in the paths' noise, which therefore does not bias it.
         """
-        with np.errstate(divide="ignore", invalid="ignore"):
-            told = distance_mm + self.by_shift(self.liquid.point_at(distance_mm) - self.air.near_mm)
-            sine = np.linalg.norm(self.mean_cross, axis=1)
-            across = np.cross(self.air.direction, self.mean_cross / sine[:, None])
-            variance = self.liquid.variance_along(across, distance_mm)
-            variance += self.air.variance_along(across, self.along_air(distance_mm))
-            return told, np.sqrt(variance) / sine
-
-    def by_shift(self, apart_mm: Vectors) -> PerPath:
-        """Return how far along the liquid path the crossing lies from where that path is this far from a place on the other."""
-        with np.errstate(divide="ignore", invalid="ignore"):
-            return -(np.cross(apart_mm, self.air.direction) * self.mean_cross).sum(axis=1) / (self.mean_cross**2).sum(
-                axis=1
-            )
+        liquid, air = self.liquid, self.air
+        noises = [noise for paths in (liquid, air) for noise in (paths.near_noise, paths.far_noise)]
+        told_mm, sd_mm = np.empty(len(distance_mm)), np.empty(len(distance_mm))
+        _write_measured(
+            *(liquid.near_mm, liquid.direction, liquid.baseline_mm, air.near_mm, air.direction, air.baseline_mm),
+            *(self.mean_cross, np.stack([noise.axes for noise in noises])),
+            *(liquid.near_noise.sd_mm, liquid.far_noise.sd_mm, air.near_noise.sd_mm, air.far_noise.sd_mm),
+            *(distance_mm, told_mm, sd_mm),
+        )
+        return told_mm, sd_mm
 
     def along_air(self, distance_mm: PerPath) -> PerPath:
         """Return where on the air path its nearest place to the liquid path's at ``distance_mm`` is."""
         return ((self.liquid.point_at(distance_mm) - self.air.near_mm) * self.air.direction).sum(axis=1)
+
+
+@compiled
+def _write_measured(
+    near_liquid: np.ndarray,
+    liquid: np.ndarray,
+    baseline_liquid: np.ndarray,
+    near_air: np.ndarray,
+    air: np.ndarray,
+    baseline_air: np.ndarray,
+    mean_cross: np.ndarray,
+    axes: np.ndarray,
+    near_liquid_sd: np.ndarray,
+    far_liquid_sd: np.ndarray,
+    near_air_sd: np.ndarray,
+    far_air_sd: np.ndarray,
+    distance: np.ndarray,
+    told: np.ndarray,
+    sd: np.ndarray,
+) -> None:
+    """Write what each crossing tells near a distance, and its standard deviation; not a number where no mean angle is."""
+    apart, across, on_axis = np.empty(3), np.empty(3), np.empty(4)
+    for pixel in range(len(distance)):
+        along_air = squared = 0.0
+        for k in range(3):
+            apart[k] = near_liquid[pixel, k] + distance[pixel] * liquid[pixel, k] - near_air[pixel, k]
+            along_air += apart[k] * air[pixel, k]
+            squared += mean_cross[pixel, k] ** 2
+        sine = np.sqrt(squared)
+        shift = 0.0
+        for k in range(3):
+            a, b = (k + 1) % 3, (k + 2) % 3
+            shift += (apart[a] * air[pixel, b] - apart[b] * air[pixel, a]) * mean_cross[pixel, k]
+            across[k] = (air[pixel, a] * mean_cross[pixel, b] - air[pixel, b] * mean_cross[pixel, a]) / sine
+        told[pixel] = distance[pixel] - shift / squared
+        lever_liquid, lever_air = distance[pixel] / baseline_liquid[pixel], along_air / baseline_air[pixel]
+        variance = 0.0
+        for j in range(2):
+            for display in range(4):
+                on_axis[display] = 0.0
+                for k in range(3):
+                    on_axis[display] += axes[display, k, j] * across[k]
+            variance += ((1 + lever_liquid) * near_liquid_sd[pixel, j] * on_axis[0]) ** 2
+            variance += (lever_liquid * far_liquid_sd[pixel, j] * on_axis[1]) ** 2
+            variance += ((1 + lever_air) * near_air_sd[pixel, j] * on_axis[2]) ** 2
+            variance += (lever_air * far_air_sd[pixel, j] * on_axis[3]) ** 2
+        sd[pixel] = np.sqrt(variance) / sine

@@ -5,6 +5,7 @@ from dataclasses import dataclass
 import numpy as np
 from jaxtyping import Bool, Float32, Float64, Int
 
+from recon.compiled import compiled
 from recon.geometry.light_paths import LightPaths
 from recon.reconstruct import Crossing, Limits
 from recon.surface.curvature import curvature_of
@@ -116,16 +117,45 @@ def _bent(
     normal: Float64[np.ndarray, "pixels 3"],
     curvature: Float32[np.ndarray, "pixels 3 3"],
 ) -> PerPath:
-    """Return how much the surface bends over the square of each path's slide along it, on the mean.
-
-    A shift d of a path moves where it meets the surface by d − V (n·d)/(n·V).
-    """
-    result = np.zeros(len(along_mm))
-    facing = (liquid.direction * normal).sum(axis=1)
-    facing = np.where(np.abs(facing) > LEAST_FACING, facing, LEAST_FACING)
-    lever = along_mm / liquid.baseline_mm
-    for noise, weight in ((liquid.near_noise, 1 + lever), (liquid.far_noise, lever)):
-        for axis, sd_mm in zip(noise.axes.T, noise.sd_mm.T, strict=True):
-            slide = axis - liquid.direction * ((normal @ axis) / facing)[:, None]
-            result += (weight * sd_mm) ** 2 * np.einsum("pi,pij,pj->p", slide, curvature, slide)
+    """Return how much the surface bends over the square of each path's slide along it, on the mean."""
+    result = np.empty(len(along_mm))
+    noises = (liquid.near_noise, liquid.far_noise)
+    _write_bent(
+        *(liquid.direction, normal, along_mm / liquid.baseline_mm, curvature),
+        *(np.stack([noise.axes for noise in noises]), *(noise.sd_mm for noise in noises), result),
+    )
     return result
+
+
+@compiled
+def _write_bent(
+    direction: np.ndarray,
+    normal: np.ndarray,
+    lever: np.ndarray,
+    curvature: np.ndarray,
+    axes: np.ndarray,
+    near_sd: np.ndarray,
+    far_sd: np.ndarray,
+    bent: np.ndarray,
+) -> None:
+    """Write it. A shift d of a path moves where it meets the surface by d − V (n·d)/(n·V)."""
+    slide = np.empty(3)
+    for pixel in range(len(bent)):
+        facing = 0.0
+        for k in range(3):
+            facing += direction[pixel, k] * normal[pixel, k]
+        facing = facing if abs(facing) > LEAST_FACING else LEAST_FACING
+        bent[pixel] = 0.0
+        for display in range(2):
+            for j in range(2):
+                lifted = 0.0
+                for k in range(3):
+                    lifted += normal[pixel, k] * axes[display, k, j]
+                for k in range(3):
+                    slide[k] = axes[display, k, j] - direction[pixel, k] * lifted / facing
+                height = 0.0
+                for a in range(3):
+                    for b in range(3):
+                        height += slide[a] * curvature[pixel, a, b] * slide[b]
+                sd = (1 + lever[pixel]) * near_sd[pixel, j] if display == 0 else lever[pixel] * far_sd[pixel, j]
+                bent[pixel] += sd**2 * height

@@ -3,7 +3,7 @@
 from dataclasses import dataclass
 
 import numpy as np
-from jaxtyping import Bool, Float64, Int32
+from jaxtyping import Bool, Float32, Float64, Int32
 
 from recon.compiled import compiled
 from recon.surface.neighbours import Neighbours
@@ -13,6 +13,8 @@ ScalarMap = Float64[np.ndarray, "rows cols"]
 Mask = Bool[np.ndarray, "rows cols"]
 PerPair = Float64[np.ndarray, " pairs"]
 PerPixel = Float64[np.ndarray, " pixels"]
+# Single precision is enough for all but the equations themselves: their distances may be a million times their sd.
+SmallPerPair = Float32[np.ndarray, " pairs"]
 
 # Chords are never trusted more than this share of a distance's sd: beyond it double precision ends, and an error of a
 # chord adds up over a thousand pixels to only 30 times as much.
@@ -20,7 +22,7 @@ SMALLEST_CHORD_SHARE = 1e-4
 # A normal of which nothing is known still points into the liquid: about so far from the middle of a hemisphere. A pixel
 # with such a normal stays tied to its neighbours.
 LARGEST_NORMAL_SD_RAD = 1.0
-TINY = np.finfo(float).tiny
+TINY = float(np.finfo(np.float32).tiny)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -49,13 +51,15 @@ class Chords:
     at_first: PerPair
     at_second: PerPair
     right: PerPair
-    variance: PerPair
-    chord_mm: Float64[np.ndarray, "pairs 3"]
+    variance: SmallPerPair
+    chord_mm: Float32[np.ndarray, "pairs 3"]
     bend: "Bend"
 
     def residual(self, graph: Neighbours, distance: PerPixel) -> PerPair:
         """Return by how much each chord leaves its tangent plane, in mm."""
-        return self.at_first * distance[graph.first] + self.at_second * distance[graph.second] - self.right
+        left = np.empty(len(self.right))
+        _write_residual(graph.first, graph.second, self.at_first, self.at_second, self.right, distance, left)
+        return left
 
 
 def measured_pixels(distance_mm: ScalarMap, distance_sd_mm: ScalarMap) -> Mask:
@@ -96,18 +100,18 @@ def chords_of(
     ``beyond`` are the pairs before and after each, as :func:`~recon.surface.neighbours.pairs_beyond` tells them.
     """
     pairs = len(graph.first)
-    at_first, at_second, right, variance, turn, per_squared, factor = (np.empty(pairs) for _ in range(7))
-    chord_mm = np.empty((pairs, 3))
+    at_first, at_second, right, turn = (np.empty(pairs) for _ in range(4))
+    variance, per_squared, factor = (np.empty(pairs, np.float32) for _ in range(3))
+    chord_mm = np.empty((pairs, 3), np.float32)
     ends = (graph.first, graph.second)
     _write_chords(*ends, rays.origin, rays.direction, rays.normal, distance, at_first, at_second, right, turn, chord_mm)
     squared_length = np.einsum("pi,pi->p", chord_mm, chord_mm)
     _write_bend(squared_length, *beyond, per_squared, factor)
-    bend = Bend(*beyond, per_squared, factor)
-    right += bend.height_mm(turn)
+    _add_height(turn, *beyond, per_squared, factor, right)
     # Two pixels that share a ray are as far apart as rounding says.
     least = 1e-6 * float(np.median(squared_length)) if pairs else 0.0
     _write_variance(*ends, squared_length, rays.tilt_variance, least, _smallest_variance(rays), variance)
-    return Chords(at_first, at_second, right, variance, chord_mm, bend)
+    return Chords(at_first, at_second, right, variance, chord_mm, Bend(*beyond, per_squared, factor))
 
 
 @compiled
@@ -125,6 +129,7 @@ def _write_chords(
     chord: np.ndarray,
 ) -> None:
     """Write each pair's equation without its bend, and how much the normal turns along the chord."""
+    whole = np.empty(3)
     for pair in range(len(first)):
         one, other = first[pair], second[pair]
         squared = 0.0
@@ -141,14 +146,15 @@ def _write_chords(
             # the tangent plane.
             step = origin[other, k] - origin[one, k]
             between += mean * step
-            chord[pair, k] = step + apart * (direction[other, k] - direction[one, k])
-            half += 0.5 * mean * chord[pair, k]
+            whole[k] = step + apart * (direction[other, k] - direction[one, k])
+            half += 0.5 * mean * whole[k]
         slope = 0.5 * (after - before)
         half /= slope if abs(slope) > 1e-6 else 1e-6
         turned = 0.0
         for k in range(3):
-            chord[pair, k] -= half * (direction[one, k] + direction[other, k])
-            turned += (normal[other, k] - normal[one, k]) * chord[pair, k]
+            whole[k] -= half * (direction[one, k] + direction[other, k])
+            turned += (normal[other, k] - normal[one, k]) * whole[k]
+            chord[pair, k] = whole[k]
         at_first[pair], at_second[pair], right[pair], turn[pair] = before, after, -between, turned
 
 
@@ -168,6 +174,38 @@ def _write_bend(
             # On a steep rim chords grow fast, and a curvature far away says little of this one.
             if apart < 4 * length:
                 factor[pair] = squared * length / (12 * apart)
+
+
+@compiled
+def _add_height(
+    turn: np.ndarray,
+    before: np.ndarray,
+    after: np.ndarray,
+    per_squared: np.ndarray,
+    factor: np.ndarray,
+    right: np.ndarray,
+) -> None:
+    """Add the height of each chord's bend, for how much the normal turns along each."""
+    for pair in range(len(right)):
+        if factor[pair] != 0:
+            one, other = before[pair], after[pair]
+            right[pair] += factor[pair] * (turn[other] * per_squared[other] - turn[one] * per_squared[one])
+
+
+@compiled
+def _write_residual(
+    first: np.ndarray,
+    second: np.ndarray,
+    at_first: np.ndarray,
+    at_second: np.ndarray,
+    right: np.ndarray,
+    distance: np.ndarray,
+    left: np.ndarray,
+) -> None:
+    """Write what distances leave of each pair's equation."""
+    for pair in range(len(right)):
+        told = at_first[pair] * distance[first[pair]] + at_second[pair] * distance[second[pair]]
+        left[pair] = told - right[pair]
 
 
 @compiled
@@ -199,13 +237,8 @@ class Bend:
 
     before: Int32[np.ndarray, " pairs"]
     after: Int32[np.ndarray, " pairs"]
-    per_squared: PerPair
-    factor: PerPair
-
-    def height_mm(self, turn_along_mm: PerPair) -> PerPair:
-        """Return it for the change of the normal from each chord's first to its second end, along the chord."""
-        curvature = turn_along_mm * self.per_squared
-        return self.factor * (curvature[self.after] - curvature[self.before])
+    per_squared: SmallPerPair
+    factor: SmallPerPair
 
 
 def _smallest_variance(rays: Rays) -> float:

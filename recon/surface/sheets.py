@@ -13,7 +13,7 @@ from jaxtyping import Bool
 from scipy.ndimage import maximum_filter, minimum_filter
 
 from recon.surface.long_jumps import DEEP_PX, LONG_PX, long_jumps
-from recon.surface.neighbours import Neighbours, components
+from recon.surface.neighbours import Neighbours, components, parts_of
 from recon.surface.ray_chords import Chords, PerPair, PerPixel, Rays
 
 # Gaussian noise contradicts itself by so many sd once in two million pairs.
@@ -44,15 +44,15 @@ def sheets_of(chords: Chords, graph: Neighbours, rays: Rays) -> Sheets:
     known = measured[graph.first] & measured[graph.second]
     # On a smooth surface, and across a crease, a chord lies between the tangent planes of its two ends.
     turn = rays.normal[graph.second] - rays.normal[graph.first]
-    between = 0.5 * np.abs((turn * chords.chord_mm).sum(axis=1))
+    between = 0.5 * np.abs(np.einsum("pi,pi->p", turn, chords.chord_mm))
     beyond = np.abs(chords.residual(graph, rays.measured_mm)) - between
     against = np.maximum(beyond, 0.0) / _noise_sd(chords, graph, rays)
     # Standard deviations that promise too much everywhere are no reason to cut.
     typical = NORMAL_CONSISTENT_MAD * float(np.median(against[known])) if known.any() else 1.0
     apart = known & (against > JUMP_SD * max(1.0, typical))
-    sheet = components(graph.pixels, graph.first[~apart], graph.second[~apart])
+    part = parts_of(graph.mask)
+    sheet = components(graph.pixels, graph.first[~apart], graph.second[~apart]) if apart.any() else part
     small = ~_fills_window(sheet, graph)
-    part = components(graph.pixels, graph.first, graph.second)
     outlier = small & (np.bincount(part, ~small)[part] > 0)
     return Sheets(jump=apart & ~outlier[graph.first] & ~outlier[graph.second], outlier=outlier)
 
@@ -64,6 +64,8 @@ def with_long_jumps(sheets: Sheets, graph: Neighbours, rays: Rays, distance: Per
     along, down = graph.mask[:, :-1] & graph.mask[:, 1:], graph.mask[:-1] & graph.mask[1:]
     size_sd = np.concatenate([right[:, :-1][along], below[:-1][down]])
     new = (size_sd != 0) & ~sheets.jump
+    if not new.any():
+        return sheets
     # Errors that neighbours share make edges too, but hardly one that parts a surface from rim to rim, sure on most of its way.
     part = components(graph.pixels, graph.first[~sheets.jump & ~new], graph.second[~sheets.jump & ~new])
     one, other = part[graph.first], part[graph.second]
