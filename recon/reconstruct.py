@@ -238,32 +238,41 @@ def _outside_depth(points: EntryPoints, manifest: Manifest) -> np.ndarray:
 
 
 def maps_of(status: np.ndarray, crossing: Crossing, *, shape: tuple[int, int], method: Method) -> Maps:
-    """Lay the crossings out on the camera grid.
-
-    By the paper's method pixels whose status is OK get the point and the normal that they measured, without a standard deviation.
-    Method ``full`` has its surface tell all three.
-    """
-
-    def spread(values: np.ndarray, where: np.ndarray, dtype: type) -> np.ndarray:
-        whole = np.full((len(status), *values.shape[1:]), np.nan, dtype=dtype)
-        whole[crossing.pixels[where]] = values[where]
-        return whole.reshape(*shape, *values.shape[1:])
-
-    everywhere = np.ones(len(crossing.pixels), dtype=bool)
+    """Lay the crossings out on the camera grid; only pixels whose status is OK get a point and a normal."""
+    fine = crossing.status == PixelStatus.OK
     points = crossing.points
-    if method == "full":
-        # Its surface tells them; a map of nothing takes no memory.
-        nowhere = np.broadcast_to(np.nan, (*shape, 3))
-        point_mm, normal, sd_mm = nowhere, nowhere, np.broadcast_to(np.float32(np.nan), shape)
-    else:
-        fine = crossing.status == PixelStatus.OK
-        point_mm, normal = (spread(one, fine, np.float64) for one in (points.point_mm, crossing.normal))
-        sd_mm = np.full(shape, np.nan, np.float32)
+    sd = np.sqrt(np.trace(points.covariance, axis1=1, axis2=2) + crossing.carried_mm2)
+    if method == "paper":
+        sd = np.full_like(sd, np.nan)
+    return replace(
+        maps_before_surface(status, crossing, shape=shape),
+        point_mm=_spread(points.point_mm, crossing.pixels, fine, shape, np.float64),
+        normal=_spread(crossing.normal, crossing.pixels, fine, shape, np.float64),
+        sd_mm=_spread(sd, crossing.pixels, fine, shape, np.float32),
+    )
+
+
+def maps_before_surface(status: np.ndarray, crossing: Crossing, *, shape: tuple[int, int]) -> Maps:
+    """Lay out gaps, angles and statuses alone; points, normals and their sds are left to a surface, and take no memory."""
+    everywhere = np.ones(len(crossing.pixels), dtype=bool)
+    gap_mm, angle_rad = (
+        _spread(values, crossing.pixels, everywhere, shape, np.float32)
+        for values in (crossing.points.gap_mm, crossing.points.angle_rad)
+    )
+    nowhere = np.broadcast_to(np.nan, (*shape, 3))
     return Maps(
-        point_mm=point_mm,
-        normal=normal,
-        sd_mm=sd_mm,
-        gap_mm=spread(points.gap_mm, everywhere, np.float32),
-        pbc_angle_rad=spread(points.angle_rad, everywhere, np.float32),
+        point_mm=nowhere,
+        normal=nowhere,
+        sd_mm=np.broadcast_to(np.float32(np.nan), shape),
+        gap_mm=gap_mm,
+        pbc_angle_rad=angle_rad,
         status=status.astype(np.uint8).reshape(shape),
     )
+
+
+def _spread(
+    values: np.ndarray, pixels: np.ndarray, where: np.ndarray, shape: tuple[int, int], dtype: type
+) -> np.ndarray:
+    whole = np.full((shape[0] * shape[1], *values.shape[1:]), np.nan, dtype=dtype)
+    whole[pixels[where]] = values[where]
+    return whole.reshape(*shape, *values.shape[1:])

@@ -22,7 +22,7 @@ from recon.media.liquid_index import (
 from recon.media.stated_index import provisional, stated_index, with_index
 from recon.memory import give_back_free_memory
 from recon.metrics import LiquidIndexRecord, RegistrationRecord, Statistic
-from recon.reconstruct import Crossing, cross_paths, maps_of, without_spots
+from recon.reconstruct import Crossing, cross_paths, maps_before_surface, maps_of, without_spots
 from recon.registration.gap_fit import MotionCovariance
 from recon.registration.known_slips import known_slips
 from recon.registration.registration_stage import record_of, registration_of, with_carried
@@ -139,7 +139,10 @@ def _reconstruct(
         # Those that miss by too much count as well: left out, a session that is wrong would look sound.
         crossed = np.isin(crossing.status, (PixelStatus.OK, PixelStatus.GAP_TOO_LARGE))
         ratio = gap_ratio(crossing.points.gap_mm[crossed], crossing.points.gap_sd_mm[crossed])
-    maps = maps_of(status, crossing, shape=shape, method=settings.method)
+    if settings.method == "full":
+        maps = maps_before_surface(status, crossing, shape=shape)
+    else:
+        maps = maps_of(status, crossing, shape=shape, method=settings.method)
     # What is not of the surface has been asked for the last time.
     crossing = crossing.on_surface()
     give_back_free_memory()

@@ -1,7 +1,8 @@
 """One sparse symmetric positive definite system for several right sides at once.
 
 Conjugate gradients for each, in lockstep and preconditioned by the same multigrid cycle. The cycle is in single precision.
-What is around it is not: over millions of pixels the product with a long wave is as small as single precision's rounding.
+What is around it is not: over millions of pixels the product with a long wave is as small as single precision's rounding of what
+it is the sum of. The products themselves and the solution may be rounded.
 """
 
 from dataclasses import dataclass
@@ -34,7 +35,8 @@ def solved_block(
     assert right.shape[1] == COLUMNS
     rows = (matrix.indptr, matrix.indices, matrix.data)
     residual = right.astype(np.float64)
-    solution, search, along = (np.zeros_like(residual) for _ in range(3))
+    search = np.zeros_like(residual)
+    solution, along = np.zeros_like(right), np.zeros_like(right)
     cycle = _Cycle.of(multigrid)
     # Single precision ends at 1e38, and right sides come in any unit. Conjugate gradients do not see by what constant their
     # preconditioner is multiplied.
@@ -45,15 +47,15 @@ def solved_block(
     tolerance, product = relative_tolerance**2 * squares, np.ones(COLUMNS)
     for _ in range(steps):
         if (squares <= tolerance).all():
-            return solution.astype(np.float32), True
+            return solution, True
         upward = cycle.solution()
         before, product = product, block_loops.dot_products(residual, upward)
         block_loops.turn(_ratio(product, before), upward, search)
         length = _ratio(product, block_loops.multiply(*rows, search, along))
         if not np.isfinite(length).all():
-            return solution.astype(np.float32), False
+            return solution, False
         squares = block_loops.step(length, *move)
-    return solution.astype(np.float32), bool((squares <= tolerance).all())
+    return solution, bool((squares <= tolerance).all())
 
 
 def _ratio(above: Float64[np.ndarray, " columns"], below: Float64[np.ndarray, " columns"]) -> np.ndarray:

@@ -65,8 +65,14 @@ def drawn_errors(
     slides = np.zeros((DRAWS, *graph.mask.shape, 3), np.float32)
     turned_squared, own = np.zeros(len(places)), np.empty(len(places))
     turned = np.empty((2, len(graph.first)), np.float32)
+    errors = np.full((DRAWS, *graph.mask.shape), np.nan, np.float32)
     bend = chords.bend
-    solved = []
+    jobs = []
+
+    def solve_set(first: int, right: Block) -> None:
+        for number, found in enumerate(solve(right).T):
+            errors[first + number].reshape(-1)[places] = found
+
     # One set is solved while the next is drawn.
     with ThreadPoolExecutor(1) as pool:
         for first in range(0, DRAWS, COLUMNS):
@@ -81,12 +87,12 @@ def drawn_errors(
                     *scales,
                     *(turned, own, right[:, column], turned_squared),
                 )
-            solved.append(pool.submit(solve, right))
+            jobs.append(pool.submit(solve_set, first, right))
+            del right
             if threads == 1:
-                solved[-1].result()
-    errors = np.full((DRAWS, *graph.mask.shape), np.nan, np.float32)
-    for number, found in enumerate(column for job in solved for column in job.result().T):
-        errors[number].reshape(-1)[places] = found
+                jobs[-1].result()
+    for job in jobs:
+        job.result()
     return errors, slides, turned_squared / DRAWS
 
 
