@@ -7,7 +7,7 @@ c = U×V/|U×V| each line says where it is, and the gap between them measures ho
 from dataclasses import dataclass
 
 import numpy as np
-from jaxtyping import Float64
+from jaxtyping import Float32, Float64
 
 from recon.geometry.light_paths import LightPaths
 
@@ -21,7 +21,8 @@ class EntryPoints:
     """The crossing of two light paths and how sure it is.
 
     ``gap_mm`` is signed (from liquid to air path along U×V); ``gap_sd_mm`` is what noise alone would give; ``angle_rad``
-    between the paths has the standard deviation ``angle_sd_rad``; ``covariance`` [pixels, 3, 3] in mm².
+    between the paths has the standard deviation ``angle_sd_rad``; ``covariance`` [pixels, 3, 3] in mm², in single
+    precision: uncertainties need no more.
     """
 
     point_mm: Float64[np.ndarray, "pixels 3"]
@@ -31,7 +32,7 @@ class EntryPoints:
     gap_sd_mm: Float64[np.ndarray, " pixels"]
     angle_rad: Float64[np.ndarray, " pixels"]
     angle_sd_rad: Float64[np.ndarray, " pixels"]
-    covariance: Float64[np.ndarray, "pixels 3 3"]
+    covariance: Float32[np.ndarray, "pixels 3 3"]
 
     def some(self, pixels: np.ndarray | slice) -> "EntryPoints":
         """Return the crossings of some of the pixels."""
@@ -52,7 +53,7 @@ def entry_points(liquid: LightPaths, air: LightPaths, *, weighted: bool) -> Entr
         rows = slice(low, low + PIXELS_AT_ONCE)
         part = _entry_points(liquid.some(rows), air.some(rows), weighted=weighted)
         values = [getattr(part, name) for name in EntryPoints.__slots__]
-        result = result or EntryPoints(*(np.empty((count, *one.shape[1:])) for one in values))
+        result = result or EntryPoints(*(np.empty((count, *one.shape[1:]), one.dtype) for one in values))
         for name, one in zip(EntryPoints.__slots__, values, strict=True):
             getattr(result, name)[rows] = one
     assert result is not None
@@ -146,7 +147,7 @@ def _covariance(
                     (size * (across @ axis))[:, None] * along + (size * part * (common @ axis))[:, None] * common
                 )
     stacked = np.stack(moves, axis=2)
-    return np.einsum("pik,pjk->pij", stacked, stacked)
+    return np.einsum("pik,pjk->pij", stacked, stacked).astype(np.float32)
 
 
 def _outer(a: np.ndarray, b: np.ndarray) -> np.ndarray:
