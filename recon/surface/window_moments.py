@@ -1,8 +1,9 @@
 """Compiled loops of the polynomials over square windows: moments of the heights, their sums over windows, and what follows.
 
 Rows of numbers lie WIDTH apart in flat lines, and loops take COLUMNS of them, both known when they are compiled: then a core
-takes several pixels at a time, and what a row of the map needs stays near it. Sums are taken term by term, since a running sum
-would leave the rounding of large weights on small ones.
+takes several pixels at a time, and what a row of the map needs stays near it. Loops are given whole arrays and the numbers of
+lines: taking a line out by itself would cost as much as the loop. Sums are taken term by term, since a running sum would leave
+the rounding of large weights on small ones.
 
 A pixel's moments are one layer each: the 15 different products of 1, p, q, p², pq, q² with each other, the count, the squares of
 the height and of all draws, then the products of the six with the height and with each draw. All but the count are weighted.
@@ -22,8 +23,6 @@ KEPT_ROWS = 2 * MARGIN_PX + 1
 # The layers of moments. Which of the first 15 is which element of the normal matrix (its lower half, row by row) says the table.
 COUNT, SQUARE, DRAWN_SQUARES, FIELDS = 15, 16, 17, 18
 ELEMENTS = (0, 1, 3, 2, 4, 5, 3, 6, 7, 10, 4, 7, 8, 11, 12, 5, 8, 9, 12, 13, 14)
-# So many layers are summed at a time: their sums, and what they are made of, stay in a core's nearest memory.
-LAYERS_AT_ONCE = 6
 # Keeps a window without six independent places solvable; its variance then tells that it knows nothing.
 RIDGE = 1e-12
 TINY = np.finfo(float).tiny
@@ -60,318 +59,285 @@ def fit_along_lines(
     The windows grow. ``drawn`` [windows, readings, draws, rows, cols] has one reading or three: value, slopes along p and q.
     """
     rows, cols = p.shape
-    readings = drawn.shape[1]
-    kept = np.zeros((KEPT_ROWS, (FIELDS + TERMS * (len(draws) + 1)) * WIDTH))
-    line, total = np.zeros(kept.shape[1] + 2 * MARGIN_PX), np.zeros(kept.shape[1])
+    readings, reach, layers = drawn.shape[1], half_widths[-1], FIELDS + TERMS * (len(draws) + 1)
+    kept = np.zeros(KEPT_ROWS * layers * WIDTH)
+    kept_layers = kept.reshape((KEPT_ROWS, layers, WIDTH))
+    line, total = np.zeros((layers, WIDTH)), np.zeros((layers, WIDTH))
     work = np.zeros(WORK * WIDTH)
-    reach = half_widths[-1]
+    lines = work.reshape((WORK, WIDTH))
     for row in range(-reach, rows):
-        if row + reach < rows:
-            write_moments(p, q, height, draws, weight, row + reach, kept[(row + reach) % KEPT_ROWS], work)
+        below = row + reach
+        if below < rows:
+            write_given(p, q, weight, height, below, lines)
+            first = (below % KEPT_ROWS) * layers * WIDTH
+            write_moments(work, kept[first : first + layers * WIDTH])
+            write_fields(draws, below, lines, kept_layers, below % KEPT_ROWS)
         if row < 0:
             continue
-        copy(kept[row % KEPT_ROWS], line[MARGIN_PX:])
         inner = 0
         for window in range(len(half_widths)):
-            sum_window(kept, row, rows, inner, half_widths[window], line, total)
+            sum_rows(kept_layers, row, rows, inner, half_widths[window], line)
+            sum_columns(line, half_widths[window], total)
             inner = half_widths[window]
-            factorise(total, work)
-            solve_height(total, work)
-            meet(start[row], sight, work)
-            for number, place in enumerate((MET + 2, SLOPES, SLOPES + 1, MISFITS)):
-                copy(line_of(work, place)[:cols], found[window, number, row])
-            copy(layer_of(total, COUNT)[:cols], found[window, COUNTED, row])
-            for term in range(TERMS):
-                copy(line_of(work, COEFFICIENTS + term)[:cols], coefficients[window, term, row])
-            for reading in range(readings):
-                write_right(reading, work)
-                solve_right(work, RIGHT + TERMS * reading)
-                copy(line_of(work, READ)[:cols], variance[window, reading, row])
-            copy(layer_of(total, DRAWN_SQUARES), line_of(work, MISFITS))
-            for number in range(len(draws)):
-                first = (FIELDS + TERMS * (number + 1)) * WIDTH
-                solve_draw(total[first : first + TERMS * WIDTH], work)
-                for reading in range(readings):
-                    right = work[(RIGHT + TERMS * reading) * WIDTH : (RIGHT + TERMS * (reading + 1)) * WIDTH]
-                    read(right, work, drawn[window, reading, number, row])
+            factorise(total, lines)
+            solve_height(total, lines)
+            meet(start, row, sight, lines)
             for col in range(cols):
-                found[window, DRAWN_MISFIT, row, col] = max(work[MISFITS * WIDTH + col], 0.0) / max(len(draws), 1)
+                found[window, ALONG, row, col] = lines[MET + 2, col]
+                found[window, SLOPE_P, row, col], found[window, SLOPE_Q, row, col] = (
+                    lines[SLOPES, col],
+                    lines[SLOPES + 1, col],
+                )
+                found[window, MISFIT, row, col] = lines[MISFITS, col]
+                found[window, COUNTED, row, col] = total[COUNT, MARGIN_PX + col]
+            for term in range(TERMS):
+                for col in range(cols):
+                    coefficients[window, term, row, col] = lines[COEFFICIENTS + term, col]
+            for reading in range(readings):
+                write_right(reading, lines)
+                solve_right(lines, RIGHT + TERMS * reading)
+                for col in range(cols):
+                    variance[window, reading, row, col] = lines[READ, col]
+            for col in range(COLUMNS):
+                lines[MISFITS, col] = total[DRAWN_SQUARES, MARGIN_PX + col]
+            for number in range(len(draws)):
+                solve_draw(total, FIELDS + TERMS * (number + 1), work)
+                for reading in range(readings):
+                    read(work, lines, RIGHT + TERMS * reading, drawn, window, reading, number, row)
+            for col in range(cols):
+                found[window, DRAWN_MISFIT, row, col] = max(lines[MISFITS, col], 0.0) / max(len(draws), 1)
 
 
 @compiled
-def copy(values: np.ndarray, result: np.ndarray) -> None:
-    """Copy values to the beginning of another line."""
-    for place in range(len(values)):
-        result[place] = values[place]
-
-
-@compiled
-def fill(line: np.ndarray, value: float) -> None:
-    """Write one value everywhere."""
-    for place in range(len(line)):
-        line[place] = value
-
-
-@compiled
-def line_of(work: np.ndarray, number: int) -> np.ndarray:
-    """Return a line of work."""
-    return work[number * WIDTH : number * WIDTH + COLUMNS]
-
-
-@compiled
-def layer_of(moments: np.ndarray, number: int) -> np.ndarray:
-    """Return a layer of a row's moments, without its margins."""
-    return moments[number * WIDTH + MARGIN_PX : number * WIDTH + MARGIN_PX + COLUMNS]
-
-
-@compiled
-def write_moments(
-    p: np.ndarray,
-    q: np.ndarray,
-    height: np.ndarray,
-    draws: np.ndarray,
-    weight: np.ndarray,
-    row: int,
-    moments: np.ndarray,
-    work: np.ndarray,
+def write_given(
+    p: np.ndarray, q: np.ndarray, weight: np.ndarray, height: np.ndarray, row: int, lines: np.ndarray
 ) -> None:
-    """Write the moments of a row's pixels, by way of the first four lines of work."""
-    fill(work[: 4 * WIDTH], 0.0)
-    copy(p[row], work)
-    copy(q[row], line_of(work, 1))
-    copy(weight[row], line_of(work, 2))
-    copy(height[row], line_of(work, 3))
+    """Write a row of the places, weights and heights into the first four lines, with zeros after it."""
+    for number in range(4):
+        for col in range(COLUMNS):
+            lines[number, col] = 0.0
+    for col in range(p.shape[1]):
+        lines[0, col], lines[1, col] = p[row, col], q[row, col]
+        lines[2, col], lines[3, col] = weight[row, col], height[row, col]
+
+
+@compiled
+def write_moments(work: np.ndarray, moments: np.ndarray) -> None:
+    """Write the moments of a row's pixels without heights, and their squares."""
     for col in range(COLUMNS):
-        at, x, y, w = MARGIN_PX + col, work[col], work[WIDTH + col], work[2 * WIDTH + col]
+        at, x, y, w, h = MARGIN_PX + col, work[col], work[WIDTH + col], work[2 * WIDTH + col], work[3 * WIDTH + col]
         xx, xy, yy = x * x, x * y, y * y
         moments[at], moments[WIDTH + at], moments[2 * WIDTH + at] = w, w * x, w * y
         moments[3 * WIDTH + at], moments[4 * WIDTH + at], moments[5 * WIDTH + at] = w * xx, w * xy, w * yy
         moments[6 * WIDTH + at], moments[7 * WIDTH + at] = w * xx * x, w * xx * y
         moments[8 * WIDTH + at], moments[9 * WIDTH + at] = w * x * yy, w * yy * y
-        moments[10 * WIDTH + at], moments[11 * WIDTH + at], moments[12 * WIDTH + at] = (
-            w * xx * xx,
-            w * xx * xy,
-            w * xx * yy,
-        )
-        moments[13 * WIDTH + at], moments[14 * WIDTH + at] = w * xy * yy, w * yy * yy
+        moments[10 * WIDTH + at], moments[11 * WIDTH + at] = w * xx * xx, w * xx * xy
+        moments[12 * WIDTH + at], moments[13 * WIDTH + at] = w * xx * yy, w * xy * yy
+        moments[14 * WIDTH + at] = w * yy * yy
         moments[COUNT * WIDTH + at] = 1.0 if w > 0 else 0.0
-        moments[SQUARE * WIDTH + at] = w * work[3 * WIDTH + col] * work[3 * WIDTH + col]
+        moments[SQUARE * WIDTH + at] = w * h * h
         moments[DRAWN_SQUARES * WIDTH + at] = 0.0
-    write_field(moments, work, FIELDS)
-    for number in range(len(draws)):
-        copy(draws[number, row], line_of(work, 3))
-        add_square(layer_of(moments, DRAWN_SQUARES), line_of(work, 2), line_of(work, 3))
-        write_field(moments, work, FIELDS + TERMS * (number + 1))
 
 
 @compiled
-def write_field(moments: np.ndarray, work: np.ndarray, first: int) -> None:
-    """Write the products of the fourth line of work, a height or a draw, with the weighted terms."""
-    for term in range(TERMS):
-        own, terms, values = layer_of(moments, first + term), layer_of(moments, term), line_of(work, 3)
-        for col in range(COLUMNS):
-            own[col] = terms[col] * values[col]
+def write_fields(draws: np.ndarray, row: int, lines: np.ndarray, kept: np.ndarray, place: int) -> None:
+    """Write the products of the height and of the draws with the weighted terms."""
+    for number in range(len(draws) + 1):
+        if number > 0:
+            for col in range(draws.shape[2]):
+                lines[3, col] = draws[number - 1, row, col]
+            for col in range(COLUMNS):
+                kept[place, DRAWN_SQUARES, MARGIN_PX + col] += lines[2, col] * lines[3, col] * lines[3, col]
+        for term in range(TERMS):
+            for col in range(COLUMNS):
+                own = kept[place, term, MARGIN_PX + col] * lines[3, col]
+                kept[place, FIELDS + TERMS * number + term, MARGIN_PX + col] = own
 
 
 @compiled
-def add_square(total: np.ndarray, weight: np.ndarray, values: np.ndarray) -> None:
-    """Add a line's weighted squares to another, in place."""
-    for col in range(COLUMNS):
-        total[col] += weight[col] * values[col] * values[col]
-
-
-@compiled
-def sum_window(
-    kept: np.ndarray, row: int, rows: int, inner: int, outer: int, line: np.ndarray, total: np.ndarray
-) -> None:
-    """Sum a row of moments over the window of half-width ``outer``, as far as it is within the map.
-
-    ``line`` is the sum over the rows of the ``inner`` one, with a margin of zeros at either end, and has that of the outer one
-    afterwards. Several layers are summed as one line, from which the margins keep them apart.
-    """
-    for first in range(0, len(total), LAYERS_AT_ONCE * WIDTH):
-        last = min(first + LAYERS_AT_ONCE * WIDTH, len(total))
-        middle, here = line[MARGIN_PX + first : MARGIN_PX + last], total[first:last]
+def sum_rows(kept: np.ndarray, row: int, rows: int, inner: int, outer: int, line: np.ndarray) -> None:
+    """Make of the sum over the rows of a window of half-width ``inner``, none for 0, that of ``outer``, within the map."""
+    for layer in range(len(line)):
+        if inner == 0:
+            for col in range(WIDTH):
+                line[layer, col] = kept[row % KEPT_ROWS, layer, col]
         for offset in range(inner + 1, outer + 1):
-            above, below = kept[(row - offset) % KEPT_ROWS], kept[(row + offset) % KEPT_ROWS]
+            above, below = (row - offset) % KEPT_ROWS, (row + offset) % KEPT_ROWS
             if row >= offset and row + offset < rows:
-                add_both(middle, above[first:last], below[first:last])
+                for col in range(WIDTH):
+                    line[layer, col] += kept[above, layer, col] + kept[below, layer, col]
             elif row >= offset:
-                add(middle, above[first:last])
+                for col in range(WIDTH):
+                    line[layer, col] += kept[above, layer, col]
             elif row + offset < rows:
-                add(middle, below[first:last])
-        copy(middle, here)
-        for offset in range(1, outer + 1):
-            add_both(here, line[MARGIN_PX + first - offset :], line[MARGIN_PX + first + offset :])
+                for col in range(WIDTH):
+                    line[layer, col] += kept[below, layer, col]
 
 
 @compiled
-def add(total: np.ndarray, more: np.ndarray) -> None:
-    """Add one line to another, in place."""
-    for place in range(len(total)):
-        total[place] += more[place]
+def sum_columns(line: np.ndarray, half_width: int, total: np.ndarray) -> None:
+    """Sum each layer along the row."""
+    for layer in range(len(line)):
+        for at in range(MARGIN_PX, MARGIN_PX + COLUMNS):
+            total[layer, at] = line[layer, at] + (line[layer, at - 1] + line[layer, at + 1])
+        if half_width > 1:
+            for at in range(MARGIN_PX, MARGIN_PX + COLUMNS):
+                total[layer, at] += line[layer, at - 2] + line[layer, at + 2]
+        if half_width > 2:
+            for at in range(MARGIN_PX, MARGIN_PX + COLUMNS):
+                total[layer, at] += line[layer, at - 3] + line[layer, at + 3]
+        if half_width > 3:
+            for at in range(MARGIN_PX, MARGIN_PX + COLUMNS):
+                total[layer, at] += line[layer, at - 4] + line[layer, at + 4]
 
 
 @compiled
-def add_both(total: np.ndarray, one: np.ndarray, other: np.ndarray) -> None:
-    """Add the beginnings of two lines to a third, in place."""
-    for place in range(len(total)):
-        total[place] += one[place] + other[place]
-
-
-@compiled
-def factorise(total: np.ndarray, work: np.ndarray) -> None:
+def factorise(total: np.ndarray, lines: np.ndarray) -> None:
     """Factorise the normal matrix of every pixel (Cholesky)."""
-    ridge = line_of(work, READ)
-    fill(ridge, TINY)
+    for col in range(COLUMNS):
+        lines[READ, col] = TINY
     for term in range(TERMS):
-        own = layer_of(total, ELEMENTS[term * (term + 3) // 2])
         for col in range(COLUMNS):
-            ridge[col] += RIDGE * own[col]
+            lines[READ, col] += RIDGE * total[ELEMENTS[term * (term + 3) // 2], MARGIN_PX + col]
     for first in range(TERMS):
         start = first * (first + 1) // 2
         for second in range(first + 1):
-            here, other = line_of(work, start + second), second * (second + 1) // 2
-            copy(layer_of(total, ELEMENTS[start + second]), here)
+            here, other = start + second, second * (second + 1) // 2
+            for col in range(COLUMNS):
+                lines[here, col] = total[ELEMENTS[here], MARGIN_PX + col]
             for k in range(second):
-                subtract_product(here, line_of(work, start + k), line_of(work, other + k))
+                subtract_product(lines, here, start + k, other + k)
             if second < first:
-                multiply(here, line_of(work, other + second))
+                multiply(lines, here, other + second)
         for col in range(COLUMNS):
-            here[col] = 1.0 / np.sqrt(max(here[col], ridge[col]))
+            lines[start + first, col] = 1.0 / np.sqrt(max(lines[start + first, col], lines[READ, col]))
 
 
 @compiled
-def solve_height(total: np.ndarray, work: np.ndarray) -> None:
+def solve_height(total: np.ndarray, lines: np.ndarray) -> None:
     """Write the polynomial's coefficients, and what it leaves of the squares of the height."""
-    misfit = line_of(work, MISFITS)
-    copy(layer_of(total, SQUARE), misfit)
+    for col in range(COLUMNS):
+        lines[MISFITS, col] = total[SQUARE, MARGIN_PX + col]
     for term in range(TERMS):
-        here, start = line_of(work, COEFFICIENTS + term), term * (term + 1) // 2
-        copy(layer_of(total, FIELDS + term), here)
+        here, start = COEFFICIENTS + term, term * (term + 1) // 2
+        for col in range(COLUMNS):
+            lines[here, col] = total[FIELDS + term, MARGIN_PX + col]
         for k in range(term):
-            subtract_product(here, line_of(work, start + k), line_of(work, COEFFICIENTS + k))
-        multiply(here, line_of(work, start + term))
-        subtract_product(misfit, here, here)
+            subtract_product(lines, here, start + k, COEFFICIENTS + k)
+        multiply(lines, here, start + term)
+        subtract_product(lines, MISFITS, here, here)
     for term in range(TERMS - 1, -1, -1):
-        here = line_of(work, COEFFICIENTS + term)
         for k in range(term + 1, TERMS):
-            subtract_product(here, line_of(work, k * (k + 1) // 2 + term), line_of(work, COEFFICIENTS + k))
-        multiply(here, line_of(work, term * (term + 3) // 2))
+            subtract_product(lines, COEFFICIENTS + term, k * (k + 1) // 2 + term, COEFFICIENTS + k)
+        multiply(lines, COEFFICIENTS + term, term * (term + 3) // 2)
 
 
 @compiled
-def subtract_product(result: np.ndarray, one: np.ndarray, other: np.ndarray) -> None:
+def subtract_product(lines: np.ndarray, result: int, one: int, other: int) -> None:
     """Take the product of two lines from a third, in place."""
     for col in range(COLUMNS):
-        result[col] -= one[col] * other[col]
+        lines[result, col] -= lines[one, col] * lines[other, col]
 
 
 @compiled
-def multiply(result: np.ndarray, factor: np.ndarray) -> None:
+def multiply(lines: np.ndarray, result: int, factor: int) -> None:
     """Multiply one line by another, in place."""
     for col in range(COLUMNS):
-        result[col] *= factor[col]
+        lines[result, col] *= lines[factor, col]
 
 
 @compiled
-def meet(start: np.ndarray, sight: np.ndarray, work: np.ndarray) -> None:
+def meet(start: np.ndarray, row: int, sight: np.ndarray, lines: np.ndarray) -> None:
     """Let the line through each start along the sight meet the pixel's polynomial (Newton), and write the slopes there."""
-    for col in range(len(start)):
-        c0, c1, c2 = (
-            work[COEFFICIENTS * WIDTH + col],
-            work[(COEFFICIENTS + 1) * WIDTH + col],
-            work[(COEFFICIENTS + 2) * WIDTH + col],
-        )
-        c3, c4, c5 = (
-            work[(COEFFICIENTS + 3) * WIDTH + col],
-            work[(COEFFICIENTS + 4) * WIDTH + col],
-            work[(COEFFICIENTS + 5) * WIDTH + col],
-        )
-        x, y, along = start[col, 0], start[col, 1], 0.0
+    for col in range(start.shape[1]):
+        c0, c1, c2 = lines[COEFFICIENTS, col], lines[COEFFICIENTS + 1, col], lines[COEFFICIENTS + 2, col]
+        c3, c4, c5 = lines[COEFFICIENTS + 3, col], lines[COEFFICIENTS + 4, col], lines[COEFFICIENTS + 5, col]
+        x, y, along = start[row, col, 0], start[row, col, 1], 0.0
         slope_p, slope_q = c1 + 2 * c3 * x + c4 * y, c2 + c4 * x + 2 * c5 * y
         for _ in range(NEWTON_STEPS):
             rate = sight[2] - slope_p * sight[0] - slope_q * sight[1]
             if abs(rate) <= SLOWEST:
                 rate = np.copysign(SLOWEST, rate)
             height = c0 + x * (c1 + c3 * x + c4 * y) + y * (c2 + c5 * y)
-            along += (height - start[col, 2] - along * sight[2]) / rate
-            x, y = start[col, 0] + along * sight[0], start[col, 1] + along * sight[1]
+            along += (height - start[row, col, 2] - along * sight[2]) / rate
+            x, y = start[row, col, 0] + along * sight[0], start[row, col, 1] + along * sight[1]
             slope_p, slope_q = c1 + 2 * c3 * x + c4 * y, c2 + c4 * x + 2 * c5 * y
-        work[MET * WIDTH + col], work[(MET + 1) * WIDTH + col], work[(MET + 2) * WIDTH + col] = x, y, along
-        work[SLOPES * WIDTH + col], work[(SLOPES + 1) * WIDTH + col] = slope_p, slope_q
+        lines[MET, col], lines[MET + 1, col], lines[MET + 2, col] = x, y, along
+        lines[SLOPES, col], lines[SLOPES + 1, col] = slope_p, slope_q
 
 
 @compiled
-def write_right(reading: int, work: np.ndarray) -> None:
+def write_right(reading: int, lines: np.ndarray) -> None:
     """Write what a reading (0: value, 1: slope along p, 2: along q) takes of each coefficient where the polynomial is met."""
-    right = work[(RIGHT + TERMS * reading) * WIDTH : (RIGHT + TERMS * (reading + 1)) * WIDTH]
+    first = RIGHT + TERMS * reading
+    one, along, across = 1.0 if reading == 0 else 0.0, 1.0 if reading == 1 else 0.0, 1.0 if reading == 2 else 0.0
     for col in range(COLUMNS):
-        p, q = work[MET * WIDTH + col], work[(MET + 1) * WIDTH + col]
-        one, along, across = 1.0 if reading == 0 else 0.0, 1.0 if reading == 1 else 0.0, 1.0 if reading == 2 else 0.0
-        right[col] = one
-        right[WIDTH + col] = one * p + along
-        right[2 * WIDTH + col] = one * q + across
-        right[3 * WIDTH + col] = one * p * p + along * 2 * p
-        right[4 * WIDTH + col] = one * p * q + along * q + across * p
-        right[5 * WIDTH + col] = one * q * q + across * 2 * q
+        p, q = lines[MET, col], lines[MET + 1, col]
+        lines[first, col], lines[first + 1, col], lines[first + 2, col] = one, one * p + along, one * q + across
+        lines[first + 3, col] = one * p * p + along * 2 * p
+        lines[first + 4, col] = one * p * q + along * q + across * p
+        lines[first + 5, col] = one * q * q + across * 2 * q
 
 
 @compiled
-def solve_right(work: np.ndarray, first: int) -> None:
+def solve_right(lines: np.ndarray, first: int) -> None:
     """Replace what a reading takes by L⁻¹ times it, whose square is the variance for weights of one over variances.
 
     A window that knows nothing has pivots near zero, and a variance as good as infinite.
     """
-    variance = line_of(work, READ)
-    fill(variance, 0.0)
-    for term in range(TERMS):
-        here, start = line_of(work, first + term), term * (term + 1) // 2
-        for k in range(term):
-            subtract_product(here, line_of(work, start + k), line_of(work, first + k))
-        multiply(here, line_of(work, start + term))
-        for col in range(COLUMNS):
-            variance[col] += min(here[col] * here[col], LARGEST)
     for col in range(COLUMNS):
-        variance[col] = min(variance[col], LARGEST)
+        lines[READ, col] = 0.0
+    for term in range(TERMS):
+        here, start = first + term, term * (term + 1) // 2
+        for k in range(term):
+            subtract_product(lines, here, start + k, first + k)
+        multiply(lines, here, start + term)
+        for col in range(COLUMNS):
+            lines[READ, col] += min(lines[here, col] * lines[here, col], LARGEST)
+    for col in range(COLUMNS):
+        lines[READ, col] = min(lines[READ, col], LARGEST)
 
 
 @compiled
-def solve_draw(right: np.ndarray, work: np.ndarray) -> None:
+def solve_draw(total: np.ndarray, first: int, work: np.ndarray) -> None:
     """Write L⁻¹ times a draw's right side, and take its square from the draws' misfit."""
     for col in range(COLUMNS):
         at = MARGIN_PX + col
-        h0 = right[at] * work[col]
-        h1 = (right[WIDTH + at] - work[WIDTH + col] * h0) * work[2 * WIDTH + col]
-        h2 = right[2 * WIDTH + at] - work[3 * WIDTH + col] * h0 - work[4 * WIDTH + col] * h1
+        h0 = total[first, at] * work[col]
+        h1 = (total[first + 1, at] - work[WIDTH + col] * h0) * work[2 * WIDTH + col]
+        h2 = total[first + 2, at] - work[3 * WIDTH + col] * h0 - work[4 * WIDTH + col] * h1
         h2 *= work[5 * WIDTH + col]
-        h3 = right[3 * WIDTH + at] - work[6 * WIDTH + col] * h0 - work[7 * WIDTH + col] * h1
+        h3 = total[first + 3, at] - work[6 * WIDTH + col] * h0 - work[7 * WIDTH + col] * h1
         h3 = (h3 - work[8 * WIDTH + col] * h2) * work[9 * WIDTH + col]
-        h4 = right[4 * WIDTH + at] - work[10 * WIDTH + col] * h0 - work[11 * WIDTH + col] * h1
+        h4 = total[first + 4, at] - work[10 * WIDTH + col] * h0 - work[11 * WIDTH + col] * h1
         h4 = (h4 - work[12 * WIDTH + col] * h2 - work[13 * WIDTH + col] * h3) * work[14 * WIDTH + col]
-        h5 = right[5 * WIDTH + at] - work[15 * WIDTH + col] * h0 - work[16 * WIDTH + col] * h1
+        h5 = total[first + 5, at] - work[15 * WIDTH + col] * h0 - work[16 * WIDTH + col] * h1
         h5 = h5 - work[17 * WIDTH + col] * h2 - work[18 * WIDTH + col] * h3 - work[19 * WIDTH + col] * h4
         h5 *= work[20 * WIDTH + col]
         work[SOLVED * WIDTH + col], work[(SOLVED + 1) * WIDTH + col], work[(SOLVED + 2) * WIDTH + col] = h0, h1, h2
-        work[(SOLVED + 3) * WIDTH + col], work[(SOLVED + 4) * WIDTH + col], work[(SOLVED + 5) * WIDTH + col] = (
-            h3,
-            h4,
-            h5,
-        )
+        work[(SOLVED + 3) * WIDTH + col], work[(SOLVED + 4) * WIDTH + col] = h3, h4
+        work[(SOLVED + 5) * WIDTH + col] = h5
         work[MISFITS * WIDTH + col] -= h0 * h0 + h1 * h1 + h2 * h2 + h3 * h3 + h4 * h4 + h5 * h5
 
 
 @compiled
-def read(right: np.ndarray, work: np.ndarray, result: np.ndarray) -> None:
+def read(
+    work: np.ndarray,
+    lines: np.ndarray,
+    right: int,
+    drawn: np.ndarray,
+    window: int,
+    reading: int,
+    number: int,
+    row: int,
+) -> None:
     """Write a reading of the draw that was solved."""
-    for col in range(min(len(result), COLUMNS)):
-        first = right[col] * work[SOLVED * WIDTH + col] + right[WIDTH + col] * work[(SOLVED + 1) * WIDTH + col]
-        second = (
-            right[2 * WIDTH + col] * work[(SOLVED + 2) * WIDTH + col]
-            + right[3 * WIDTH + col] * work[(SOLVED + 3) * WIDTH + col]
+    for col in range(min(drawn.shape[4], COLUMNS)):
+        first = (
+            lines[right, col] * work[SOLVED * WIDTH + col] + lines[right + 1, col] * work[(SOLVED + 1) * WIDTH + col]
         )
-        third = (
-            right[4 * WIDTH + col] * work[(SOLVED + 4) * WIDTH + col]
-            + right[5 * WIDTH + col] * work[(SOLVED + 5) * WIDTH + col]
-        )
-        result[col] = first + second + third
+        second = lines[right + 2, col] * work[(SOLVED + 2) * WIDTH + col]
+        second += lines[right + 3, col] * work[(SOLVED + 3) * WIDTH + col]
+        third = lines[right + 4, col] * work[(SOLVED + 4) * WIDTH + col]
+        third += lines[right + 5, col] * work[(SOLVED + 5) * WIDTH + col]
+        drawn[window, reading, number, row, col] = first + second + third
