@@ -295,3 +295,14 @@ def test_a_place_inside_one_device_pixel_is_known_to_that_pixel_and_no_better() 
     # A footprint 0.4 px from end to end fits into the pixel at any place within ±0.3 px: sd 0.6/sqrt(12) = 0.17.
     assert np.median(fit.sd_px) == pytest.approx(0.17, abs=0.04)
     assert np.sqrt((((fit.place_px - centre) / fit.sd_px) ** 2).mean()) < 1.2
+
+
+@pytest.mark.parametrize("continuous", [True, False])
+def test_a_place_in_the_middle_of_a_wide_hard_stripe_is_known_to_an_interval(continuous: bool) -> None:
+    rng = np.random.default_rng(8)
+    windows, black = curves(np.full(300, 30.0), HARD, rng, footprint_px=(0.01, 0.01))
+    wide = StripePattern(profile="hard", width_px=5.0, first_px=0.0, step_px=5.0, count=64)
+    fit = fitted(windows, black, wide, (3.6, 0.2), NoiseModel(256.0), continuous=continuous)
+    # A footprint 3.8 px from end to end fits into the five lit pixels at any place within ±0.6 px: sd 1.2/sqrt(12) = 0.35.
+    assert np.median(fit.sd_px) == pytest.approx(1.2 / np.sqrt(12), rel=0.15)
+    assert np.median(np.abs(fit.place_px - 150.0)) < 0.1
