@@ -41,18 +41,22 @@ def drawn_errors(
     solve: Callable[[Block], Block],
     noise: NoiseDraw,
     *,
+    across: Float64[np.ndarray, "2 3"],
     weights: tuple[PerPair, PerPixel],
     scales: tuple[float, float],
     threads: int,
-) -> tuple[Float32[np.ndarray, "draws rows cols"], Float32[np.ndarray, "draws rows cols 3"], PerPixel]:
+) -> tuple[Float32[np.ndarray, "draws rows cols"], Float32[np.ndarray, "2 draws rows cols"], PerPixel]:
     """Return what draws of noise do to the distances, through the very equations that were solved.
 
-    Beside that, how far the paths slide in these draws, and the mean square of the normals' errors that were drawn.
+    Beside that, how far the paths slide in these draws ``across`` the sight, and the mean square of the normals' errors that
+    were drawn.
 
     Parameters
     ----------
     solve
         Solves the equations, for some right sides at a time.
+    across
+        Two unit vectors across the mean line of sight.
     weights
         Those of the chords and of the measured distances.
     scales
@@ -62,7 +66,7 @@ def drawn_errors(
     """
     rng = np.random.default_rng(DRAW_SEED)
     places = np.flatnonzero(graph.mask)
-    slides = np.zeros((DRAWS, *graph.mask.shape, 3), np.float32)
+    slides = np.zeros((2, DRAWS, *graph.mask.shape), np.float32)
     turned_squared, own = np.zeros(len(places)), np.empty(len(places))
     turned = np.empty((2, len(graph.first)), np.float32)
     errors = np.full((DRAWS, *graph.mask.shape), np.nan, np.float32)
@@ -79,7 +83,8 @@ def drawn_errors(
             right = np.empty((len(places), COLUMNS), np.float32)
             for column in range(COLUMNS):
                 distance_error, normal_error, slide = noise(rng)
-                slides[first + column].reshape(-1, 3)[places] = slide
+                for axis in (0, 1):
+                    slides[axis, first + column].reshape(-1)[places] = slide @ across[axis].astype(np.float32)
                 _write_right_side(
                     *(graph.first, graph.second, bend.before, bend.after),
                     *(chords.chord_mm, chords.at_first, chords.at_second, bend.per_squared, bend.factor),

@@ -12,7 +12,7 @@ from dataclasses import dataclass
 
 import cv2
 import numpy as np
-from jaxtyping import Float32
+from jaxtyping import Float32, Float64
 from scipy.ndimage import distance_transform_edt
 from scipy.sparse import csr_array
 
@@ -27,6 +27,7 @@ from recon.surface.error_draws import (
     independent_noise,
     standard_deviation,
 )
+from recon.surface.lateral_places import frame_along
 from recon.surface.neighbours import Neighbours, neighbours_of, normal_equations, pairs_beyond, parts_of
 from recon.surface.ray_chords import (
     Chords,
@@ -65,14 +66,15 @@ class FusedSurface:
     (0 where there was none); ``outlier`` marks pixels that agree with none about them. ``normal_scale`` and ``position_scale``
     tell how many times larger the residuals are than the standard deviations promised (never below 1). ``distance_error_mm``
     holds draws of the error of ``distance_mm``: what independent draws of all measurements' noise do to it. Their mean square is
-    the variance. ``slide_mm`` tells how far each path then meets the surface from where it should, ``turn_sd_rad`` how large the
-    errors of normals were that went into them.
+    the variance. ``slide_mm`` tells how far each path then meets the surface from where it should, along the first two axes of
+    ``sight_frame``, whose third is the mean line of sight; ``turn_sd_rad`` how large the errors of normals were that went in.
     """
 
     distance_mm: ScalarMap
     distance_sd_mm: ScalarMap
     distance_error_mm: Float32[np.ndarray, "draws rows cols"]
-    slide_mm: Float32[np.ndarray, "draws rows cols 3"]
+    slide_mm: Float32[np.ndarray, "2 draws rows cols"]
+    sight_frame: Float64[np.ndarray, "3 3"]
     turn_sd_rad: ScalarMap
     point_mm: VectorMap
     position_weight: ScalarMap
@@ -147,6 +149,7 @@ def fuse_on_rays(
             solved.chords,
             solved.solver.block_solver(solved.system.matrix, relative_tolerance=DRAW_TOLERANCE),
             solved.noise,
+            across=solved.sight_frame[:2],
             weights=(solved.system.chord_weight, solved.system.own_weight),
             scales=(solved.position_scale, solved.normal_scale),
             threads=threads,
@@ -155,7 +158,7 @@ def fuse_on_rays(
     else:
         errors, slides = (
             np.full((DRAWS, *used.shape), np.nan, np.float32),
-            np.zeros((DRAWS, *used.shape, 3), np.float32),
+            np.zeros((2, DRAWS, *used.shape), np.float32),
         )
     outlier = np.zeros(used.shape, dtype=bool)
     outlier[used] = solved.outlier
@@ -164,6 +167,7 @@ def fuse_on_rays(
         distance_sd_mm=standard_deviation(errors, used),
         distance_error_mm=errors,
         slide_mm=slides,
+        sight_frame=solved.sight_frame,
         turn_sd_rad=standard_deviation(turn[None], used, window_px=TURN_WINDOW_PX),
         point_mm=point,
         position_weight=graph.on_grid(solved.position_weight),
@@ -191,6 +195,7 @@ class _Solved:
     system: _System
     solver: SparseSolver
     noise: NoiseDraw
+    sight_frame: Float64[np.ndarray, "3 3"]
     outlier: np.ndarray
     position_weight: np.ndarray
     normal_scale: float
@@ -239,12 +244,14 @@ def _solved(
         pairs = _cut(_reweighted(chords.residual(graph, distance) / np.sqrt(chords.variance)), sheets)
         positions = _position_weights(rays, distance)
         give_back_free_memory()
+    sight = rays.direction.sum(axis=0) if graph.pixels else np.array([0.0, 0.0, 1.0])
     return _Solved(
         distance=distance,
         chords=chords,
         system=_system(graph, rays, chords, pairs, positions),
         solver=solver,
         noise=independent_noise(rays) if noise is None else noise(graph.on_grid(distance), graph.mask),
+        sight_frame=frame_along(sight / np.linalg.norm(sight)),
         outlier=sheets.outlier,
         position_weight=positions.weight,
         normal_scale=pairs.scale,

@@ -41,16 +41,16 @@ def lateral_places(
     normal: VectorMap,
     path_covariance: Float64[np.ndarray, "rows cols 3 3"],
     used: Mask,
-    slide_mm: Float32[np.ndarray, "draws rows cols 3"],
+    slide_mm: Float32[np.ndarray, "2 draws rows cols"],
+    axes: Float64[np.ndarray, "3 3"],
     *,
     threads: int = 1,
 ) -> LateralPlaces:
     """Smooth the places across the mean line of sight, over windows whose residuals are those of the paths' noise.
 
-    ``slide_mm`` are draws of how far each path meets the surface from where it should. So many ``threads`` go through the tiles.
+    ``slide_mm`` are draws of how far each path meets the surface from where it should, along the first two of the ``axes``; the
+    third is the mean line of sight. So many ``threads`` go through the tiles.
     """
-    sight = direction[used].mean(axis=0)
-    axes = frame_along(sight / np.linalg.norm(sight))
     shift = along_surface(path_covariance[used], direction[used], normal[used])
     measured = np.moveaxis(np.nan_to_num(point_mm) @ axes[:2].T, -1, 0)
     variance = np.full((2, *used.shape), np.nan)
@@ -59,7 +59,7 @@ def lateral_places(
         variance[axis][used] = np.maximum(own, np.median(own) / SUREST**2)
     weight = np.where(used & (variance > 0), 1 / np.where(variance > 0, variance, 1.0), 0.0)
     place, left = np.where(used, measured, np.nan), variance.copy()
-    error = np.moveaxis(slide_mm @ axes[:2].T.astype(np.float32), -1, 0)
+    error = slide_mm.copy()
 
     def smooth(tile: tuple[Part, Part]) -> None:
         core, wide = tile
@@ -73,7 +73,7 @@ def lateral_places(
             centred = np.where(here > 0, values - np.average(values, weights=here), 0.0)
             middle = values - centred
             held = here > 0
-            noise = slide_mm[(slice(None), *wide)] @ axes[axis].astype(np.float32)
+            noise = np.ascontiguousarray(slide_mm[(axis, slice(None), *wide)])
             fits = fit_windows(columns, rows, centred, noise, here, lines, half_widths=HALF_WIDTHS_PX, readings=1)
             for half_width, fit in zip(HALF_WIDTHS_PX, fits, strict=True):
                 freedom = fit.count - 6

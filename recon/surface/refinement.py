@@ -72,7 +72,9 @@ def refine_surface(
     result = _own_measurement(fused, direction, normal, normal_sd_rad, path_covariance, used)
     if not used.any():
         return result
-    lateral = lateral_places(fused.point_mm, direction, normal, path_covariance, used, fused.slide_mm, threads=threads)
+    lateral = lateral_places(
+        *(fused.point_mm, direction, normal, path_covariance, used, fused.slide_mm, fused.sight_frame), threads=threads
+    )
 
     depth_px = depth_of(used)
 
