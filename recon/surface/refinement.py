@@ -177,9 +177,10 @@ def _take_over(
         (result.sd_mm, unit * patch.sd[inner]),
         (result.across_sd_mm, unit * patch.across_sd[inner]),
         (result.normal_sd_rad, patch.normal_sd[inner]),
-        (result.half_width_px, np.full(better.shape, half_width, np.uint8)),
+        (result.half_width_px, np.uint8(half_width)),
     ):
-        target[core][better] = found[better]
+        where = better if target.ndim == 2 else better[..., None]
+        np.copyto(target[core], found, where=where)
 
 
 def _spacing_mm(point_mm: VectorMap, mask: Mask) -> float:

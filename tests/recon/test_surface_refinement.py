@@ -166,7 +166,7 @@ def as_fitted(slopes: Slopes) -> ClearSlopes:
     return ClearSlopes(slopes, slopes, np.zeros(slopes.variance.shape))
 
 
-@pytest.mark.parametrize("window_px", [5, 9, 17])
+@pytest.mark.parametrize("window_px", [5, 9, 17, 33])
 def test_weighted_means_are_those_of_the_window_within_the_map(window_px: int) -> None:
     rng = np.random.default_rng(3)
     fields = rng.standard_normal((2, 12, 23))
@@ -180,6 +180,11 @@ def test_weighted_means_are_those_of_the_window_within_the_map(window_px: int) -
         assert np.allclose(means[:, row, col], expected, rtol=1e-12)
         assert np.allclose(single[:, row, col], expected, atol=1e-6)
     assert (weighted_means(fields, 0 * weight, window_px=window_px) == 0).all()
+
+
+def test_means_over_a_window_of_another_width_are_refused() -> None:
+    with pytest.raises(ValueError, match="pixels wide, not 7"):
+        weighted_means(np.zeros((2, 9, 9)), np.ones((9, 9)), window_px=7)
 
 
 def test_few_draws_tell_the_noise_of_windows_to_a_per_cent_where_it_is_a_share_of_what_went_in() -> None:
