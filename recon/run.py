@@ -15,6 +15,8 @@ from recon.maps import MAPS_NAME, save_maps
 from recon.metrics import METRICS_NAME, Metrics, StageTime, save_metrics
 from recon.progress import progress_bar
 from recon.report.calibration_page import CALIBRATION_PAGE_NAME, write_calibration_page
+from recon.report.views import Mesh as ShownMesh
+from recon.report.views import ReportViews, report_views
 from recon.report.writer import write_report
 from recon.running.kept_outcome import forget_outcome, keep_outcome, kept_outcome, outcome_key
 from recon.running.kept_report import keep_report, report_is_kept
@@ -70,10 +72,11 @@ def run_session(
         findings = sweep_findings(sweeps, session.manifest)
         outcome = found or reconstruct_taking(session, sweeps, settings, known=known)
         sweeps.clear()
+    views = None
     with timer.stage("write maps, cloud and mesh") as stage:
         stage.kept = found is not None
         if found is None:
-            write_arrays(out, outcome, key=key, threads=settings.threads or usable_cores())
+            views = _write_and_draw(out, outcome, session, key=key, threads=settings.threads or usable_cores())
     outcome = replace(outcome, warnings=(*doubts, *outcome.warnings))
     with timer.stage("compare the reference photos") as stage:
         scene, stage.kept = scene_of(session, outcome.maps, out=out, outcome_key=key, force=settings.force)
@@ -82,15 +85,15 @@ def run_session(
     with timer.stage("report") as stage:
         stage.kept = not settings.force and report_is_kept(out, key, metrics, session.manifest)
         if not stage.kept:
-            mesh = outcome.mesh
             pages = [
                 write_report(
                     out,
                     maps=outcome.maps,
                     metrics=metrics,
                     manifest=session.manifest,
-                    mesh=None if mesh is None else (mesh.vertices_mm, mesh.faces, mesh.normal),
+                    mesh=_shown_mesh(outcome),
                     calibration=used,
+                    views=views,
                 )
             ]
             if used is not None:
@@ -182,6 +185,23 @@ def decode_session(
         except BaseException:
             pool.shutdown(wait=False, cancel_futures=True)
             raise
+
+
+def _write_and_draw(out: Path, outcome: Outcome, session: Session, *, key: str, threads: int) -> ReportViews | None:
+    """Write the arrays, and draw what the report shows of them meanwhile; with one thread that is left to the report."""
+    if threads == 1:
+        write_arrays(out, outcome, key=key, threads=threads)
+        return None
+    with ThreadPoolExecutor(1) as pool:
+        drawing = pool.submit(report_views, outcome.maps, session.manifest, _shown_mesh(outcome))
+        write_arrays(out, outcome, key=key, threads=threads)
+        return drawing.result()
+
+
+def _shown_mesh(outcome: Outcome) -> ShownMesh | None:
+    """Return the mesh as a report takes it."""
+    mesh = outcome.mesh
+    return None if mesh is None else (mesh.vertices_mm, mesh.faces, mesh.normal)
 
 
 def write_arrays(out: Path, outcome: Outcome, *, key: str, threads: int) -> None:

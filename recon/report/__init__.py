@@ -4,6 +4,7 @@
 Pages other than a session's own report can be made from the same parts with :func:`recon.report.page.render_page`.
 """
 
-from recon.report.writer import REPORT_NAME, Mesh, write_report
+from recon.report.views import Mesh
+from recon.report.writer import REPORT_NAME, write_report
 
 __all__ = ["REPORT_NAME", "Mesh", "write_report"]

@@ -5,7 +5,7 @@ from datetime import datetime
 from pathlib import Path
 
 import numpy as np
-from jaxtyping import Float, Integer
+from jaxtyping import Float
 
 from recon.calibration.calibration_file import Calibration
 from recon.errors import ReconError
@@ -17,22 +17,18 @@ from recon.report.map_section import map_section
 from recon.report.methods_section import methods_section
 from recon.report.numbers import NOTHING, LengthUnit, duration, number, share
 from recon.report.page import render_page
-from recon.report.panel import Banner
-from recon.report.point_scene import TriangleMesh
+from recon.report.panel import Banner, Section
 from recon.report.result_section import result_section
 from recon.report.run_section import device_banners, run_section, warnings_section
 from recon.report.setup_section import setup_section
-from recon.report.surface_section import surface_section
+from recon.report.views import Mesh, ReportViews, report_views
 from recon.sessions.manifest import Manifest
 
 REPORT_NAME = "report.html"
 # Mail servers and review systems refuse larger attachments.
 LIMIT_BYTES = 10_000_000
-# Samples along the longer side of a map; the next is tried where the page would be too large.
-LONGEST_PX = (900, 600, 350)
-
-# Vertices in mm, triangles as indices of vertices, and one normal a vertex.
-Mesh = tuple[Float[np.ndarray, "vertices 3"], Integer[np.ndarray, "faces 3"], Float[np.ndarray, "vertices 3"]]
+# Samples along the longer side of a map, one after the other where the page would be too large with those of the views.
+SMALLER_PX = (600, 350)
 
 
 def write_report(
@@ -44,6 +40,7 @@ def write_report(
     mesh: Mesh | None,
     evaluation: Sequence[Mapping[str, object]] = (),
     calibration: Calibration | None = None,
+    views: ReportViews | None = None,
 ) -> Path:
     """Write ``report.html`` into ``out_dir`` and return its path.
 
@@ -60,6 +57,8 @@ def write_report(
         becomes the unit in the heading.
     calibration:
         The calibration that the poses come from; its page, ``calibration.html``, is expected beside the report.
+    views:
+        The views of these maps and this mesh, if they are already drawn.
 
     Raises
     ------
@@ -71,12 +70,11 @@ def write_report(
     if metrics.liquid_index is not None:
         manifest = with_index(manifest, metrics.liquid_index.n)
     unit = LengthUnit.of(manifest.length_unit)
-    triangles = None
-    if mesh is not None:
-        triangles = TriangleMesh(mesh[0].astype(np.float64), mesh[1].astype(np.int64), mesh[2].astype(np.float64))
+    if views is None:
+        views = report_views(maps, manifest, mesh)
     before = (
         warnings_section(metrics),
-        surface_section(maps, manifest, triangles, unit=unit),
+        views.surface,
         result_section(metrics, unit=unit, thin=manifest.method == "thin", evaluation=evaluation),
     )
     after = (
@@ -85,10 +83,9 @@ def write_report(
         run_section(metrics, manifest),
         methods_section(manifest, metrics, unit=unit),
     )
-    page = ""
-    for longest_px in LONGEST_PX:
-        pictures = map_section(maps, manifest, unit=unit, longest_px=longest_px)
-        page = render_page(
+
+    def page_with(pictures: Section) -> str:
+        return render_page(
             metrics.session,
             kind="Reconstruction report",
             subtitle=subtitle(metrics, manifest),
@@ -98,8 +95,12 @@ def write_report(
             tiles=tiles(maps, metrics, unit),
             scripts=("page.js", "viewer.js"),
         )
+
+    page = page_with(views.maps)
+    for longest_px in SMALLER_PX:
         if len(page.encode()) < LIMIT_BYTES:
             break
+        page = page_with(map_section(maps, manifest, unit=unit, longest_px=longest_px))
     path = out_dir / REPORT_NAME
     try:
         path.write_text(page, encoding="utf-8")
