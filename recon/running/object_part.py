@@ -60,6 +60,13 @@ class ObjectPart:
         """Row and column of the photo at which the part begins."""
         return self.window.rows.start, self.window.cols.start
 
+    def let_places_go(self) -> None:
+        """Forget where the stripes were seen in the liquid, and how surely everywhere: after the crossings nobody asks."""
+        nothing = np.broadcast_to(np.float32(np.nan), self.window.shape)
+        for (name, axis), one in self.sweeps.items():
+            place_px = one.place_px if name.endswith("_air") else nothing
+            self.sweeps[name, axis] = replace(one, place_px=place_px, sd_px=nothing)
+
     def on_photo(self, maps: Maps) -> Maps:
         """Lay the maps of the part out on the photo."""
         if self.window.shape == self.status.shape:

@@ -139,6 +139,7 @@ def _reconstruct(
         # Those that miss by too much count as well: left out, a session that is wrong would look sound.
         crossed = np.isin(crossing.status, (PixelStatus.OK, PixelStatus.GAP_TOO_LARGE))
         ratio = gap_ratio(crossing.points.gap_mm[crossed], crossing.points.gap_sd_mm[crossed])
+        part.let_places_go()
     if settings.method == "full":
         maps = maps_before_surface(status, crossing, shape=shape)
     else:

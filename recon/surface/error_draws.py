@@ -12,6 +12,7 @@ import numpy as np
 from jaxtyping import Float, Float32, Float64
 
 from recon.compiled import compiled
+from recon.memory import give_back_free_memory
 from recon.surface.block_loops import COLUMNS
 from recon.surface.block_solver import Block
 from recon.surface.neighbours import Neighbours
@@ -92,6 +93,7 @@ def drawn_errors(
                     *scales,
                     *(turned, own, right[:, column], turned_squared),
                 )
+            give_back_free_memory()
             jobs.append(pool.submit(solve_set, first, right))
             del right
             if threads == 1:
