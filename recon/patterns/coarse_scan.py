@@ -107,7 +107,8 @@ def read_scan(
     """Read the scan of one sweep from a session's photos; ``pattern`` is the whole sweep, before any narrowing."""
 
     # Loads SciPy, which would slow every command that only shows the scan.
-    from recon.sweeps.correspondence import read_session_photo, window_half_width
+    from recon.sweeps.correspondence import window_half_width
+    from recon.sweeps.photo_stream import read_session_photo
 
     def photo(sweep: str, index: int = 0) -> Counts:
         return read_session_photo(session, capture_set.name, sweep, index)

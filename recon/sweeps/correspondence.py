@@ -10,12 +10,14 @@ from jaxtyping import Bool, Float, Float32, UInt8
 from recon.memory import give_back_free_memory
 from recon.metrics import PhotoQuality, SampleCurve
 from recon.sessions.manifest import Axis, CaptureSet, StripePattern
-from recon.sessions.photos import Counts, read_grey, saturation_count
+from recon.sessions.photos import saturation_count
 from recon.sessions.session import Session
 from recon.status import PixelStatus
+from recon.sweeps.black_level import black_level, noise_floor
 from recon.sweeps.curve_reach import curve_half_width
 from recon.sweeps.half_seen import half_seen_of
-from recon.sweeps.noise import NoiseModel, dark_variance
+from recon.sweeps.noise import NoiseModel
+from recon.sweeps.photo_stream import photo_quality, read_session_photo
 from recon.sweeps.sample_curves import sample_curves
 from recon.sweeps.stripe_peak import NO_PEAK, PeakWindows, parabola_offset
 
@@ -24,9 +26,6 @@ if TYPE_CHECKING:
 
 Method = Literal["paper", "full"]
 
-# A peak is one that noise alone would show in one dark sample of a thousand million.
-PEAK_SIGMA = 6.0
-LEAST_PEAK_COUNTS = 2.0
 # Sharp profiles are seen in one or two photos; a broad footprint spreads them over some more.
 NEIGHBOURS_BEYOND_PROFILE = 3
 PIXELS_AT_ONCE = 1 << 15
@@ -73,9 +72,8 @@ def decode_sweep(
 
     pattern = capture_set.sweep(axis).pattern
     assert isinstance(pattern, StripePattern)
-    black, dark = _black_level(session, capture_set, axis)
-    rise = max(PEAK_SIGMA * np.sqrt(dark), LEAST_PEAK_COUNTS)
-    floor = lit_floor(black, rise)
+    black, dark, of_black = black_level(session, capture_set, axis)
+    floor = noise_floor(black, dark + of_black)
     half_width = window_half_width(pattern, method)
     if method == "full":
         half_width = curve_half_width(
@@ -105,58 +103,11 @@ def decode_sweep(
     )
 
 
-def lit_floor(black: Counts, rise: float) -> Counts:
-    """Return the counts [rows, cols] that a lit sample exceeds: ``rise`` above black, within the range of the samples."""
-    top = np.iinfo(black.dtype).max
-    up = black.dtype.type(min(int(rise), top))
-    return np.minimum(black, black.dtype.type(top - up)) + up
-
-
 def window_half_width(pattern: StripePattern, method: Method) -> int:
     """Return how many photos before and after a pixel's brightest one its place is made from, where images are sharp."""
     if method == "paper":
         return 1
     return int(np.ceil(pattern.width_px / pattern.step_px / 2)) + NEIGHBOURS_BEYOND_PROFILE
-
-
-def _black_level(session: Session, capture_set: CaptureSet, axis: Axis) -> tuple[np.ndarray, float]:
-    """Return the counts without the stripe and the variance of one dark sample.
-
-    The black photo where there is one; otherwise the median of five photos spread over the sweep.
-    """
-    numbers = session.photo_numbers(capture_set, axis)
-
-    def photo(sweep: str, index: int) -> np.ndarray:
-        return read_session_photo(session, capture_set.name, sweep, index)
-
-    first, last = photo(axis, numbers[0]), photo(axis, numbers[-1])
-    variance = dark_variance(first, last)
-    if (capture_set.name, "black", 0) in session.photos:
-        return photo("black", 0), variance
-    between = (photo(axis, numbers[round(share * (len(numbers) - 1))]) for share in (0.25, 0.5, 0.75))
-    return median_of_five(first, last, *between), variance
-
-
-def median_of_five(a: Counts, b: Counts, c: Counts, d: Counts, e: Counts) -> Counts:
-    """Return the median of five photos [rows, cols], pixel by pixel."""
-    # The two smaller of each pair's larger and smaller ones cannot be the median of the four; with the fifth, three remain.
-    low = np.maximum(np.minimum(a, b), np.minimum(c, d))
-    high = np.minimum(np.maximum(a, b), np.maximum(c, d))
-    return np.maximum(np.minimum(low, high), np.minimum(e, np.maximum(low, high)))
-
-
-def read_session_photo(
-    session: Session, set_name: str, sweep: str, index: int, *, buffer: np.ndarray | None = None
-) -> np.ndarray:
-    """Return one photo of a session as grey counts [rows, cols]."""
-    camera = session.manifest.camera
-    return read_grey(
-        session.photo_file(set_name, sweep, index),
-        rows=camera.rows,
-        cols=camera.columns,
-        primary=session.manifest.display.primary,
-        buffer=buffer,
-    )
 
 
 def _stream(
@@ -174,10 +125,7 @@ def _stream(
         counts = read_session_photo(session, capture_set.name, axis, index, buffer=free)
         free = tracker.feed(counts)
         brightest = tracker.brightest()
-        share = np.count_nonzero(counts >= clipped) / counts.size if brightest >= clipped else 0.0
-        quality.append(
-            PhotoQuality(set=capture_set.name, sweep=axis, index=index, brightest=brightest, saturated_share=share)
-        )
+        quality.append(photo_quality(counts, capture_set, axis, index, brightest=brightest, clipped=clipped))
         on_photo()
     return tuple(quality)
 

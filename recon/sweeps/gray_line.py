@@ -16,14 +16,8 @@ from recon.sessions.pattern import GrayLinePattern
 from recon.sessions.photos import Counts, saturation_count
 from recon.sessions.session import Session
 from recon.status import PixelStatus
-from recon.sweeps.correspondence import (
-    LEAST_PEAK_COUNTS,
-    PEAK_SIGMA,
-    Method,
-    SweepResult,
-    place_by_likelihood,
-    place_by_parabola,
-)
+from recon.sweeps.black_level import LEAST_PEAK_COUNTS, PEAK_SIGMA
+from recon.sweeps.correspondence import Method, SweepResult, place_by_likelihood, place_by_parabola
 from recon.sweeps.noise import ROUNDING_VARIANCE, dark_variance
 from recon.sweeps.photo_stream import black_photo, has_black, photo_stream
 from recon.sweeps.stripe_peak import NO_PEAK, PeakWindows

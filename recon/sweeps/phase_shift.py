@@ -17,7 +17,8 @@ from recon.sessions.pattern import PhaseShiftPattern
 from recon.sessions.photos import saturation_count
 from recon.sessions.session import Session
 from recon.status import PixelStatus
-from recon.sweeps.correspondence import LEAST_PEAK_COUNTS, PEAK_SIGMA, SweepResult
+from recon.sweeps.black_level import LEAST_PEAK_COUNTS, PEAK_SIGMA
+from recon.sweeps.correspondence import SweepResult
 from recon.sweeps.display_response import response_of, response_undone
 from recon.sweeps.map_scatter import scatter_beyond
 from recon.sweeps.noise import ROUNDING_VARIANCE, NoiseModel, noise_from_residuals

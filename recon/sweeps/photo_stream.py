@@ -6,9 +6,22 @@ import numpy as np
 
 from recon.metrics import PhotoQuality
 from recon.sessions.manifest import Axis, CaptureSet
-from recon.sessions.photos import Counts, saturation_count
+from recon.sessions.photos import Counts, read_grey, saturation_count
 from recon.sessions.session import Session
-from recon.sweeps.correspondence import read_session_photo
+
+
+def read_session_photo(
+    session: Session, set_name: str, sweep: str, index: int, *, buffer: np.ndarray | None = None
+) -> np.ndarray:
+    """Return one photo of a session as grey counts [rows, cols]."""
+    camera = session.manifest.camera
+    return read_grey(
+        session.photo_file(set_name, sweep, index),
+        rows=camera.rows,
+        cols=camera.columns,
+        primary=session.manifest.display.primary,
+        buffer=buffer,
+    )
 
 
 def photo_stream(
@@ -26,14 +39,21 @@ def photo_stream(
     """
     for index in numbers:
         counts = read_session_photo(session, capture_set.name, axis, index)
-        clipped = saturation_count(counts)
-        brightest = int(counts.max())
-        share = np.count_nonzero(counts >= clipped) / counts.size if brightest >= clipped else 0.0
         quality.append(
-            PhotoQuality(set=capture_set.name, sweep=axis, index=index, brightest=brightest, saturated_share=share)
+            photo_quality(
+                counts, capture_set, axis, index, brightest=int(counts.max()), clipped=saturation_count(counts)
+            )
         )
         yield counts
         on_photo()
+
+
+def photo_quality(
+    counts: Counts, capture_set: CaptureSet, axis: Axis, index: int, *, brightest: int, clipped: int
+) -> PhotoQuality:
+    """Return a photo's line in the strip of capture quality; ``clipped`` is the first clipped count."""
+    share = np.count_nonzero(counts >= clipped) / counts.size if brightest >= clipped else 0.0
+    return PhotoQuality(set=capture_set.name, sweep=axis, index=index, brightest=brightest, saturated_share=share)
 
 
 def has_black(session: Session, capture_set: CaptureSet) -> bool:

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from recon.sweeps.correspondence import lit_floor, median_of_five
+from recon.sweeps.black_level import MEDIAN_OF_FIVE, lit_floor, median_of_five, noise_floor
 from recon.sweeps.decode_threads import threads_that_fit
 from recon.sweeps.footprint import TILE_PX, coordinate_gradient
 from recon.sweeps.noise import dark_variance
@@ -53,3 +53,16 @@ def test_threads_stop_where_memory_does_and_never_below_one() -> None:
     assert threads_that_fit(**sweeps, memory_bytes=10**9) == 1
     assert 1 < threads_that_fit(**sweeps, memory_bytes=8 * 10**9) < 8
     assert threads_that_fit(**sweeps, memory_bytes=10**12) == 8
+
+
+@pytest.mark.parametrize("of_five", [False, True])
+def test_noise_alone_lights_no_pixel_though_black_is_of_photos_too(of_five: bool) -> None:
+    rng = np.random.default_rng(6)
+
+    def photo() -> np.ndarray:
+        return np.rint(rng.normal(40, 3, (200, 200))).astype(np.uint8)
+
+    black = median_of_five(*(photo() for _ in range(5))) if of_five else photo()
+    floor = noise_floor(black, 9.0 * (1 + (MEDIAN_OF_FIVE if of_five else 1.0)))
+    # Six sd of a sample alone, over a black of one photo, are 4.2 of their difference: one in 90,000 of these four millions.
+    assert not any((photo() > floor).any() for _ in range(100))

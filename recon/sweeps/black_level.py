@@ -1,0 +1,53 @@
+"""The counts that a pixel shows without the stripe, and how far above them a sample is light and no noise."""
+
+import numpy as np
+
+from recon.sessions.manifest import Axis, CaptureSet
+from recon.sessions.photos import Counts
+from recon.sessions.session import Session
+from recon.sweeps.noise import dark_variance
+from recon.sweeps.photo_stream import read_session_photo
+
+# A peak is one that noise alone would show in one dark sample of a thousand million.
+PEAK_SIGMA = 6.0
+LEAST_PEAK_COUNTS = 2.0
+# Variance of the median of five normal samples, over that of one (David and Nagaraja, Order Statistics, 3rd ed., 2003).
+MEDIAN_OF_FIVE = 0.2868
+
+
+def black_level(session: Session, capture_set: CaptureSet, axis: Axis) -> tuple[np.ndarray, float, float]:
+    """Return the counts without the stripe, the variance of one dark sample and that of one of these counts.
+
+    The black photo where there is one; otherwise the median of five photos spread over the sweep.
+    """
+    numbers = session.photo_numbers(capture_set, axis)
+
+    def photo(sweep: str, index: int) -> np.ndarray:
+        return read_session_photo(session, capture_set.name, sweep, index)
+
+    first, last = photo(axis, numbers[0]), photo(axis, numbers[-1])
+    variance = dark_variance(first, last)
+    if (capture_set.name, "black", 0) in session.photos:
+        return photo("black", 0), variance, variance
+    between = (photo(axis, numbers[round(share * (len(numbers) - 1))]) for share in (0.25, 0.5, 0.75))
+    return median_of_five(first, last, *between), variance, MEDIAN_OF_FIVE * variance
+
+
+def median_of_five(a: Counts, b: Counts, c: Counts, d: Counts, e: Counts) -> Counts:
+    """Return the median of five photos [rows, cols], pixel by pixel."""
+    # The two smaller of each pair's larger and smaller ones cannot be the median of the four; with the fifth, three remain.
+    low = np.maximum(np.minimum(a, b), np.minimum(c, d))
+    high = np.minimum(np.maximum(a, b), np.maximum(c, d))
+    return np.maximum(np.minimum(low, high), np.minimum(e, np.maximum(low, high)))
+
+
+def noise_floor(black: Counts, variance: float) -> Counts:
+    """Return the counts [rows, cols] that noise does not reach; ``variance`` is that of a dark sample and of black together."""
+    return lit_floor(black, max(PEAK_SIGMA * np.sqrt(variance), LEAST_PEAK_COUNTS))
+
+
+def lit_floor(black: Counts, rise: float) -> Counts:
+    """Return the counts [rows, cols] that a lit sample exceeds: ``rise`` above black, within the range of the samples."""
+    top = np.iinfo(black.dtype).max
+    up = black.dtype.type(min(int(rise), top))
+    return np.minimum(black, black.dtype.type(top - up)) + up
