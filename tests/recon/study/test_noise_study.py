@@ -10,7 +10,8 @@ from typer.testing import CliRunner
 
 from recon.cli import app
 from recon.errors import ReconError
-from recon.evaluation.coverage import Share, coverage_of
+from recon.evaluation.coverage import Coverage, Share, coverage_of
+from recon.study.coverage_tables import outside_by_chance
 from recon.study.noise_rounds import noise_rounds
 from recon.study.noisy_sweeps import load_true_session, noisy_sweeps
 from recon.study.scenes import semi_ellipsoid
@@ -80,6 +81,13 @@ def test_a_coverage_misses_clearly_only_beyond_its_sampling() -> None:
     low, high = Share(0.92, 0.004), Share(0.978, 0.005)
     assert [share.outside(0.93, 0.97) for share in (low, high, Share(0.96, 0.0))] == [True, True, False]
     assert [share.clearly_outside(0.93, 0.97, sampling_sds=2.0) for share in (low, high)] == [True, False]
+
+
+def test_tenths_that_miss_by_chance_are_those_of_the_tails_of_a_normal_distribution() -> None:
+    # Half of the tenths err by the goal's half-width (31.73 % miss, as a table of one sigma says), the others by a quarter of it.
+    tenths = tuple(Share(0.95, sd) for sd in 5 * (0.02, 0.005))
+    assert outside_by_chance([Coverage(tenths[0], tenths)] * 2) == pytest.approx(2 * 5 * 0.3173, abs=0.05)
+    assert outside_by_chance([Coverage(tenths[0], (Share(0.95, np.nan),))]) is None
 
 
 def test_intervals_of_the_full_method_are_told_and_the_paper_has_none(session_folder: Path) -> None:
