@@ -165,22 +165,25 @@ def _take_over(
     half_width: int,
     place: Sight,
 ) -> None:
-    """Write a patch where its window held and makes the normal surer."""
-    inner = inside(core, wide)
+    """Write a patch's normals where its window held and makes them surer, and its points likewise.
+
+    A pixel's own normal may be surer than that of a window whose points are surer than its own.
+    """
+    inner, unit = inside(core, wide), place.unit_mm
+    point = place.middle_mm + unit * patch.point[inner] @ place.frame
+    sd_mm = unit * patch.sd[inner]
     with np.errstate(invalid="ignore"):
-        better = held[inner] & (patch.normal_sd[inner] < result.normal_sd_rad[core])
-    point = place.middle_mm + place.unit_mm * patch.point[inner] @ place.frame
-    unit = place.unit_mm
-    for target, found in (
-        (result.point_mm, point),
-        (result.normal, patch.normal[inner] @ place.frame),
-        (result.sd_mm, unit * patch.sd[inner]),
-        (result.across_sd_mm, unit * patch.across_sd[inner]),
-        (result.normal_sd_rad, patch.normal_sd[inner]),
-        (result.half_width_px, np.uint8(half_width)),
+        turned = held[inner] & (patch.normal_sd[inner] < result.normal_sd_rad[core])
+        moved = held[inner] & (sd_mm < result.sd_mm[core])
+    for target, found, better in (
+        (result.point_mm, point, moved),
+        (result.sd_mm, sd_mm, moved),
+        (result.across_sd_mm, unit * patch.across_sd[inner], moved),
+        (result.normal, patch.normal[inner] @ place.frame, turned),
+        (result.normal_sd_rad, patch.normal_sd[inner], turned),
+        (result.half_width_px, np.full(turned.shape, half_width, np.uint8), turned),
     ):
-        where = better if target.ndim == 2 else better[..., None]
-        np.copyto(target[core], found, where=where)
+        target[core][better] = found[better]
 
 
 def _spacing_mm(point_mm: VectorMap, mask: Mask) -> float:
