@@ -28,9 +28,6 @@ from recon.running.options import (
     limits_of,
 )
 from recon.running.settings import Settings
-from recon.sessions.importer import import_folder, read_layout
-from recon.sessions.session import open_session
-from recon.sessions.wholeness import faults
 from recon.study.command import register as register_study
 from recon.view import register as register_view
 
@@ -133,6 +130,8 @@ def import_(
     layout: Annotated[Path, typer.Option(help="TOML file that describes geometry, pattern and file names.")],
 ) -> None:
     """Make a session from a folder of photos that someone else took; no photo is re-encoded."""
+    from recon.sessions.importer import import_folder, read_layout
+
     described = read_layout(layout)
     total = sum(sweep.pattern.count for one in described.manifest.sets for sweep in one.sweeps)
     with progress_bar("importing photos", total) as step:
@@ -143,6 +142,9 @@ def import_(
 @app.command()
 def validate(session: SessionFolder) -> None:
     """Name every fault of a session with its file and reason; exit 1 if there is one."""
+    from recon.sessions.session import open_session
+    from recon.sessions.wholeness import faults
+
     opened = open_session(session)
     found = list(faults(opened))
     for fault in found:

@@ -11,9 +11,9 @@ from recon.geometry.entry_point import EntryPoints, entry_points
 from recon.geometry.light_paths import LightPaths, light_paths
 from recon.geometry.normals import normal_sd_rad, normals_from_angles, normals_from_paths
 from recon.maps import Maps
+from recon.method import Limits, Method
 from recon.sessions.manifest import Manifest
 from recon.status import PixelStatus
-from recon.sweeps.correspondence import Method
 from recon.sweeps.set_places import (
     Correspondences,
     SweepResults,
@@ -29,19 +29,6 @@ CHOICES: tuple[tuple[str, ...], ...] = ((), ("air",), ("liquid",), ("air", "liqu
 
 
 CROSSING_VECTORS = ("pixels", "normal", "normal_sd_rad", "carried_mm2", "carried_rad2", "status")
-
-
-@dataclass(frozen=True, slots=True)
-class Limits:
-    """The tests that a point must pass. Angles in rad; lengths in mm; the sigmas are in standard deviations.
-
-    The paper's method uses the first two, ``full`` the others: its thresholds follow from each pixel's own uncertainty.
-    """
-
-    smallest_angle_rad: float = np.radians(1.0)
-    largest_gap_share: float = 0.1  # of the distance between the two display positions
-    gap_sigma: float = 5.0
-    angle_sigma: float = 10.0  # the angle between the paths in units of its sd: 10 % error in depth
 
 
 @dataclass(frozen=True, slots=True, eq=False)

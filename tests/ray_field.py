@@ -7,10 +7,11 @@ photos would take hours.
 import numpy as np
 
 from recon.maps import Maps
-from recon.reconstruct import Crossing, Limits, cross_paths, maps_of
+from recon.method import Limits, Method
+from recon.reconstruct import Crossing, cross_paths, maps_of
 from recon.sessions.manifest import Manifest
 from recon.status import PixelStatus
-from recon.sweeps.correspondence import Method, SweepResult
+from recon.sweeps.correspondence import SweepResult
 from recon.sweeps.noise import NoiseModel
 from rig.capturing.session_manifest import SIMULATED_DEVICE, manifest_of
 from rig.rehearsing.scene_config import SceneOptions, config_of_scene

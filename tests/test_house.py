@@ -52,6 +52,20 @@ def test_recon_imports_on_a_machine_without_any_hardware_library() -> None:
     assert ran.returncode == 0, ran.stderr
 
 
+def test_the_help_of_recon_waits_for_no_numerical_library() -> None:
+    script = (
+        "import sys\n"
+        "for name in ('scipy', 'matplotlib', 'numba', 'cv2', 'pyamg', 'trimesh'):\n"
+        "    sys.modules[name] = None\n"
+        "sys.argv = ['recon', 'run', '--help']\n"
+        "from recon.cli import main\n"
+        "main()\n"
+    )
+    ran = subprocess.run([sys.executable, "-c", script], cwd=ROOT, capture_output=True, text=True, check=False)
+    assert ran.returncode == 0, ran.stderr
+    assert "--smallest-angle-deg" in ran.stdout
+
+
 @pytest.mark.parametrize("page", PAGES, ids=name_of)
 def test_every_relative_link_of_a_page_leads_somewhere(page: Path) -> None:
     text = re.sub(r"^```.*?^```", "", page.read_text(encoding="utf-8"), flags=re.MULTILINE | re.DOTALL)

@@ -11,10 +11,11 @@ import cv2
 import numpy as np
 import simplejpeg
 
+from recon.method import Method
 from recon.sessions.photos import read_grey
 from recon.sessions.session import Session
 from recon.status import PixelStatus
-from recon.sweeps.correspondence import Method, decode_sweep
+from recon.sweeps.correspondence import decode_sweep
 
 LOOP = "simplejpeg loop"
 DECODING = "decoding alone"

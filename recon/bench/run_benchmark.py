@@ -18,13 +18,13 @@ from recon.bench.run_scene import radial_error_mm
 from recon.bench.run_session import RunSession, kept_or_written
 from recon.errors import ReconError
 from recon.maps import MAPS_NAME, load_maps
+from recon.method import Method
 from recon.metrics import StageTime
 from recon.run import run_session
 from recon.running.settings import Settings
 from recon.sessions.photos import read_grey
 from recon.sessions.session import Session, open_session
 from recon.stage_timer import peak_memory_mb
-from recon.sweeps.correspondence import Method
 
 DECODING, RUN = "decoding alone", "recon run"
 RESULT_NAME = "result"

@@ -1,21 +1,15 @@
 """The ``recon evaluate`` command: parse, evaluate, print one table a run."""
 
 import math
-from collections.abc import Iterator
 from pathlib import Path
 from typing import Annotated
 
 import typer
 from rich.console import Console
-from rich.table import Table
 
 from recon.errors import ReconError
-from recon.evaluation.evaluate import EVALUATION_NAME, MOST_FACETS, EvaluationResult, evaluate, save_evaluation
-from recon.evaluation.plane import THRESHOLD_MM
-from recon.evaluation.published import CITATION, Primitive
-from recon.evaluation.table import KnownSize, Row
+from recon.evaluation.published import MOST_FACETS, THRESHOLD_MM, Primitive
 from recon.maps import MAPS_NAME
-from recon.report.rewrite import rewrite_report
 
 
 def register(app: typer.Typer) -> None:
@@ -49,6 +43,12 @@ def evaluate_command(
     seed: Annotated[int, typer.Option(min=0, help="Start of the fits' random draws.")] = 0,
 ) -> None:
     """Compare results with truth or with a fitted shape, beside the published figures; writes evaluation.json."""
+    # Fits and the report's plotting, which would slow every other command by a second.
+    from recon.evaluation.evaluate import EVALUATION_NAME, evaluate, save_evaluation
+    from recon.evaluation.shown_figures import evaluation_table, report_row
+    from recon.evaluation.table import KnownSize
+    from recon.report.rewrite import rewrite_report
+
     console = Console(markup=False, highlight=False)
     for run_folder in run_folders(folder):
         result = evaluate(
@@ -64,19 +64,8 @@ def evaluate_command(
         )
         save_evaluation(result, run_folder / EVALUATION_NAME)
         console.print(evaluation_table(result))
-        if rewrite_report(run_folder, [_report_row(row, result.length_unit) for row in result.rows]) is not None:
+        if rewrite_report(run_folder, [report_row(row, result.length_unit) for row in result.rows]) is not None:
             console.print(f"The report shows them too: {run_folder / 'report.html'}", soft_wrap=True)
-
-
-def _report_row(row: Row, length_unit: str) -> dict[str, object]:
-    published = "" if row.published is None else _range(*row.published)
-    return {
-        "of": row.of,
-        "quantity": row.quantity,
-        "ours": figure(row.ours),
-        "published": published,
-        "unit": length_unit if row.unit == "mm" else row.unit,
-    }
 
 
 def run_folders(folder: Path) -> list[Path]:
@@ -104,51 +93,3 @@ def semi_axes_mm(text: str) -> tuple[float, float, float]:
     if not all(math.isfinite(axis) and axis > 0 for axis in (a, b, c)):
         raise ReconError(f"--ellipsoid {text}: the semi-axes must be positive")
     return a, b, c
-
-
-def evaluation_table(result: EvaluationResult) -> Table:
-    """Lay the figures out for the terminal; the published column appears where there is something in it."""
-    beside = any(row.published for row in result.rows)
-    table = Table(
-        title=f"{result.run} (method {result.method})",
-        caption=f"published: {CITATION}" if beside else None,
-        title_justify="left",
-        caption_justify="left",
-    )
-    table.add_column("of")
-    table.add_column("quantity")
-    table.add_column("ours", justify="right")
-    if beside:
-        table.add_column("published", justify="right")
-    table.add_column("unit")
-    for before, row in zip([None, *result.rows], result.rows, strict=False):
-        if before is not None and before.of != row.of:
-            table.add_section()
-        table.add_row(*_cells(row, repeated=before is not None and before.of == row.of, beside=beside))
-    return table
-
-
-def _cells(row: Row, *, repeated: bool, beside: bool) -> Iterator[str]:
-    yield "" if repeated else row.of
-    yield row.quantity
-    yield figure(row.ours)
-    if beside:
-        yield "" if row.published is None else _range(*row.published)
-    yield row.unit
-
-
-def _range(low: float, high: float) -> str:
-    return figure(low) if low == high else f"{figure(low)} … {figure(high)}"
-
-
-def figure(value: float | int) -> str:
-    """Write four significant digits, whole numbers in full.
-
-    Examples
-    --------
-    >>> figure(1115748.0), figure(0.031415926), figure(float("nan"))
-    ('1,115,748', '0.03142', 'none')
-    """
-    if math.isnan(value):
-        return "none"
-    return f"{value:,.0f}" if value == round(value) and abs(value) >= 1 else f"{value:.4g}"

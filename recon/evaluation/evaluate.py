@@ -11,8 +11,7 @@ from recon.errors import ReconError
 from recon.evaluation.cylinder import fit_cylinder
 from recon.evaluation.ellipsoid import ellipsoid_distance_mm
 from recon.evaluation.facets import fit_facets
-from recon.evaluation.plane import THRESHOLD_MM
-from recon.evaluation.published import CITATION, Primitive
+from recon.evaluation.published import CITATION, MOST_FACETS, THRESHOLD_MM, Primitive
 from recon.evaluation.sphere import fit_sphere
 from recon.evaluation.spread import Spread, spread_of
 from recon.evaluation.table import (
@@ -30,7 +29,6 @@ from recon.metrics import METRICS_NAME, load_metrics
 from recon.sessions.session import TRUTH_NAME
 
 EVALUATION_NAME = "evaluation.json"
-MOST_FACETS = 6  # of the paper's ornament
 UNKNOWN_SIZE = KnownSize()
 
 

@@ -8,7 +8,8 @@ from scipy.ndimage import binary_closing, binary_fill_holes, label
 
 from recon.errors import ReconError
 from recon.evaluation.consensus import judges
-from recon.evaluation.plane import THRESHOLD_MM, PlaneFit, fit_plane
+from recon.evaluation.plane import PlaneFit, fit_plane
+from recon.evaluation.published import THRESHOLD_MM
 from recon.evaluation.spread import unit
 
 NormalMap = Float64[np.ndarray, "rows cols 3"]

@@ -7,11 +7,11 @@ from jaxtyping import Bool, Float64
 
 from recon.errors import ReconError
 from recon.evaluation.consensus import best_guess, draw, judges, ransac_score
+from recon.evaluation.published import THRESHOLD_MM
 from recon.evaluation.spread import Spread, angle_between_rad, spread_of, unit
 
 Points = Float64[np.ndarray, "points 3"]
 
-THRESHOLD_MM = 0.5  # the paper's, section "Real experiments"
 MOST_GUESSES = 4000
 REFINEMENTS = 30
 

@@ -10,6 +10,9 @@ from typing import Literal
 Primitive = Literal["sphere", "planes", "cylinder"]
 
 CITATION = "Han, Wong, Liu, IJCV 2018, real objects"
+# Section "Real experiments": how far an inlier may be from a plane, and how many facets the ornament shows.
+THRESHOLD_MM = 0.5
+MOST_FACETS = 6
 
 PUBLISHED: dict[Primitive, dict[str, tuple[float, float]]] = {
     "sphere": {

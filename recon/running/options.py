@@ -6,9 +6,7 @@ from typing import Annotated
 
 import typer
 
-from recon.reconstruct import Limits
-from recon.surface.thin_surface import ThinForm
-from recon.sweeps.correspondence import Method
+from recon.method import Limits, Method, ThinForm
 
 DEFAULT = Limits()
 

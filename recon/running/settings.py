@@ -3,9 +3,7 @@
 from dataclasses import asdict, dataclass, field
 from pathlib import Path
 
-from recon.reconstruct import Limits
-from recon.surface.thin_surface import ThinForm
-from recon.sweeps.correspondence import Method
+from recon.method import Limits, Method, ThinForm
 
 
 @dataclass(frozen=True, slots=True)

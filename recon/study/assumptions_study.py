@@ -8,6 +8,7 @@ import numpy as np
 
 from recon.evaluation.spread import spread_of
 from recon.maps import MAPS_NAME, load_maps
+from recon.method import Method
 from recon.metrics import Metrics
 from recon.run import run_session
 from recon.running.settings import Settings
@@ -18,7 +19,6 @@ from recon.study.photographed import METHODS
 from recon.study.simulator import simulated
 from recon.study.study_result import Cell, StudyTable
 from recon.study.wrong_assumptions import RADIUS_MM, WrongAssumption, wrong_assumptions
-from recon.sweeps.correspondence import Method
 
 COLUMNS = 160
 STRIPE = ("--profile", "raised_cosine", "--width-px", "24", "--step-px", "8")

@@ -1,6 +1,7 @@
 """The ``recon study`` command: repeat the published experiments, one or all."""
 
 import time
+from collections.abc import Sequence
 from pathlib import Path
 from typing import Annotated
 
@@ -10,9 +11,7 @@ from rich.console import Console
 from rich.table import Table
 
 from recon.errors import ReconError
-from recon.study.catalogue import EXPERIMENTS
 from recon.study.experiment import Experiment, StudySize, named
-from recon.study.study_page import PAGE_NAME, page_of
 from recon.study.study_result import StudyResult, StudyTable, cell_text, markdown
 
 ALL = "all"
@@ -42,24 +41,30 @@ def study_command(
 
     Needs the simulator (`rig simulate`). Writes a page, tables and JSON.
     """
+    # Every experiment's own libraries, which would slow every other command by a second.
+    from recon.study.catalogue import EXPERIMENTS
+
     console = Console(soft_wrap=True, highlight=False)
     if name is None:
-        _list(console)
+        for one in EXPERIMENTS:
+            console.print(f"{one.name:18} {one.title}", markup=False)
         return
-    chosen = EXPERIMENTS if name == ALL else (_experiment(name),)
+    chosen = EXPERIMENTS if name == ALL else (_experiment(name, EXPERIMENTS),)
     for experiment in chosen:
         result = _run(experiment, out, StudySize(size, rounds, seed), console)
         (out / f"{experiment.name}.json").write_text(result.model_dump_json(indent=1) + "\n", encoding="utf-8")
         for table in result.tables:
             _show(table, console)
-        write_page(out)
-    console.print(f"{out / PAGE_NAME}: curves and tables; {MARKDOWN_NAME} and JSON beside it", markup=False)
+        page = write_page(out, EXPERIMENTS)
+    console.print(f"{page}: curves and tables; {MARKDOWN_NAME} and JSON beside it", markup=False)
 
 
-def write_page(out: Path) -> None:
-    """Write the page and its Markdown of every result that the folder holds."""
+def write_page(out: Path, experiments: Sequence[Experiment]) -> Path:
+    """Write the page and its Markdown of every result that the folder holds, and return the page."""
+    from recon.study.study_page import PAGE_NAME, page_of
+
     results = []
-    for experiment in EXPERIMENTS:
+    for experiment in experiments:
         file = out / f"{experiment.name}.json"
         if file.is_file():
             try:
@@ -68,6 +73,7 @@ def write_page(out: Path) -> None:
                 raise ReconError(f"{file}: not the result of a study ({error.errors()[0]['msg']}); delete it") from None
     (out / PAGE_NAME).write_text(page_of(results), encoding="utf-8")
     (out / MARKDOWN_NAME).write_text("\n".join(markdown(result) for result in results), encoding="utf-8")
+    return out / PAGE_NAME
 
 
 def _run(experiment: Experiment, out: Path, size: StudySize, console: Console) -> StudyResult:
@@ -88,17 +94,12 @@ def _run(experiment: Experiment, out: Path, size: StudySize, console: Console) -
     )
 
 
-def _experiment(name: str) -> Experiment:
-    found = named(EXPERIMENTS, name)
+def _experiment(name: str, experiments: Sequence[Experiment]) -> Experiment:
+    found = named(experiments, name)
     if found is None:
-        known = ", ".join([*(one.name for one in EXPERIMENTS), ALL])
+        known = ", ".join([*(one.name for one in experiments), ALL])
         raise ReconError(f"there is no study named {name!r}; choose one of: {known}")
     return found
-
-
-def _list(console: Console) -> None:
-    for one in EXPERIMENTS:
-        console.print(f"{one.name:18} {one.title}", markup=False)
 
 
 def _show(table: StudyTable, console: Console) -> None:

@@ -6,9 +6,9 @@ import numpy as np
 from scipy.stats import norm
 
 from recon.evaluation.coverage import Coverage, Share
+from recon.method import Method
 from recon.study.noise_rounds import MethodErrors
 from recon.study.study_result import Cell, StudyTable
-from recon.sweeps.correspondence import Method
 
 LEAST, MOST = 0.93, 0.97
 SAMPLING_SDS = 2.0

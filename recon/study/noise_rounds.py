@@ -9,12 +9,13 @@ from jaxtyping import Bool
 from recon.evaluation.coverage import Coverage, coverage_of
 from recon.evaluation.spread import angle_between_rad
 from recon.maps import Maps
-from recon.reconstruct import Limits, cross_paths, maps_of
+from recon.method import Limits, Method
+from recon.reconstruct import cross_paths, maps_of
 from recon.sessions.manifest import Manifest
 from recon.study.noisy_sweeps import TrueSession, noisy_sweeps
 from recon.surface.surface_stage import surface_of
 from recon.surface.thin_stage import thin_object
-from recon.sweeps.correspondence import Method, SweepResult
+from recon.sweeps.correspondence import SweepResult
 
 METHODS: tuple[Method, Method] = ("paper", "full")
 Sweeps = dict[tuple[str, str], SweepResult]

@@ -5,6 +5,7 @@ from pathlib import Path
 
 import numpy as np
 
+from recon.method import Method
 from recon.study.coverage_tables import coverage_tables
 from recon.study.experiment import Findings, StudySize, Tell
 from recon.study.noise_rounds import METHODS, MethodErrors, noise_rounds
@@ -12,7 +13,6 @@ from recon.study.noisy_sweeps import load_true_session
 from recon.study.scenes import DISPLAY_PIXELS, DISPLAY_UNITS, semi_ellipsoid
 from recon.study.simulator import Scene, simulated
 from recon.study.study_result import Curve, StudyFigure, StudyTable
-from recon.sweeps.correspondence import Method
 
 STEP_SIGMAS = tuple(round(0.1 * k, 1) for k in range(1, 11))
 UNIT_SIGMAS = (0.1, 0.4, 0.7, 1.0)

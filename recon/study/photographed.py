@@ -7,12 +7,12 @@ from pathlib import Path
 from recon.evaluation.evaluate import evaluate
 from recon.evaluation.published import Primitive
 from recon.evaluation.table import KnownSize, Row
+from recon.method import Method
 from recon.run import run_session
 from recon.running.settings import Settings
 from recon.study.experiment import Tell
 from recon.study.simulator import Scene, simulated
 from recon.study.study_result import Cell, StudyTable, cell_text
-from recon.sweeps.correspondence import Method
 
 METHODS: tuple[Method, Method] = ("paper", "full")
 SMOOTH = ("--profile", "raised_cosine", "--width-px", "6", "--step-px", "1")

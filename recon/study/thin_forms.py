@@ -5,13 +5,13 @@ from typing import get_args
 
 import numpy as np
 
+from recon.method import ThinForm
 from recon.sessions.manifest import FlatFace, Manifest
 from recon.study.experiment import Tell
 from recon.study.noisy_sweeps import load_true_session, noisy_sweeps
 from recon.study.simulator import simulated
 from recon.study.study_result import Cell, StudyTable
 from recon.surface.thin_stage import thin_object
-from recon.surface.thin_surface import ThinForm
 
 FORMS: tuple[ThinForm, ...] = get_args(ThinForm)
 # Both have their flat face in the plane z = 0 of their scenes.

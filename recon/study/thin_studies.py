@@ -5,13 +5,13 @@ from pathlib import Path
 
 import numpy as np
 
+from recon.method import Method
 from recon.study.experiment import Findings, StudySize, Tell
 from recon.study.noise_rounds import METHODS, MethodErrors, noise_rounds
 from recon.study.noisy_sweeps import load_true_session
 from recon.study.scenes import thin_cone, thin_shell
 from recon.study.simulator import Scene, simulated
 from recon.study.study_result import Curve, StudyFigure, StudyTable
-from recon.sweeps.correspondence import Method
 
 SIGMAS = (0.0, 0.1, 0.2, 0.5, 1.0)
 LEAST_SIGMA = 1e-3  # the weights of a noise of nought would be infinite

@@ -7,7 +7,8 @@ from jaxtyping import Bool, Float32, Float64, Int
 
 from recon.compiled import compiled
 from recon.geometry.light_paths import LightPaths
-from recon.reconstruct import Crossing, Limits
+from recon.method import Limits
+from recon.reconstruct import Crossing
 from recon.surface.curvature import curvature_of
 from recon.surface.error_draws import NoiseDraw, SomePixels, SomeVectors
 from recon.surface.path_crossing import PathCrossing

@@ -7,6 +7,7 @@ import numpy as np
 from recon.geometry.sight import sight_rays
 from recon.maps import Maps, Support
 from recon.memory import give_back_free_memory
+from recon.method import Method
 from recon.photo_window import PhotoWindow
 from recon.reconstruct import Crossing
 from recon.sessions.manifest import CameraBody, Manifest
@@ -20,7 +21,6 @@ from recon.surface.path_measurement import PathMeasurement
 from recon.surface.ray_chords import Mask
 from recon.surface.refinement import refine_surface
 from recon.surface.strays import without_strays
-from recon.sweeps.correspondence import Method
 
 # No window of pixels that fusion and refinement look at reaches farther.
 MARGIN_PX = 16

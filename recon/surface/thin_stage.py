@@ -26,11 +26,12 @@ from recon.geometry.light_paths import LightPaths, light_paths
 from recon.geometry.normals import normal_sd_rad, normals_from_paths
 from recon.geometry.sight import sight_rays
 from recon.maps import Maps
+from recon.method import Method, ThinForm
 from recon.sessions.manifest import Manifest, Pose
 from recon.status import PixelStatus
 from recon.surface.mesh import Mesh, mesh_from_point_map
-from recon.surface.thin_surface import NOTES, USUAL_FORM, ThinForm, thin_surface_points
-from recon.sweeps.correspondence import Method, SweepResult
+from recon.surface.thin_surface import NOTES, USUAL_FORM, thin_surface_points
+from recon.sweeps.correspondence import SweepResult
 from recon.sweeps.set_places import SweepResults, combined_status, correspondences
 
 NEIGHBOURHOOD_PX = 7

@@ -4,17 +4,14 @@ Its triangulated points are poor, for the two rays of a pixel are nearly paralle
 in one system; the other forms integrate the normals alone, and take from the points one constant a connected part.
 """
 
-from typing import Literal
-
 import numpy as np
 
+from recon.method import Method, ThinForm
 from recon.surface.fusion import fuse_on_rays
 from recon.surface.integration import integrate_on_rays
 from recon.surface.ray_bundle import ScalarMap, VectorMap
 from recon.surface.sparse_solver import SolverError
-from recon.sweeps.correspondence import Method
 
-ThinForm = Literal["fused", "quadratic", "discrete", "bilateral"]
 USUAL_FORM: dict[Method, ThinForm] = {"paper": "discrete", "full": "quadratic"}
 NOTES: dict[ThinForm, str] = {
     "fused": "The surface joins triangulated points and normals, each by its own uncertainty.",

@@ -2,12 +2,13 @@
 
 from collections.abc import Callable
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Literal
+from typing import TYPE_CHECKING
 
 import numpy as np
 from jaxtyping import Bool, Float, Float32, UInt8
 
 from recon.memory import give_back_free_memory
+from recon.method import Method
 from recon.metrics import PhotoQuality, SampleCurve
 from recon.sessions.manifest import Axis, CaptureSet, StripePattern
 from recon.sessions.photos import saturation_count
@@ -23,8 +24,6 @@ from recon.sweeps.stripe_peak import NO_PEAK, PeakWindows, parabola_offset
 
 if TYPE_CHECKING:
     from recon.sweeps.peak_tracker import PeakTracker
-
-Method = Literal["paper", "full"]
 
 # Sharp profiles are seen in one or two photos; a broad footprint spreads them over some more.
 NEIGHBOURS_BEYOND_PROFILE = 3

@@ -19,12 +19,13 @@ import numpy as np
 
 from recon.calibration.response_record import RESPONSE_NAME
 from recon.memory import give_back_free_memory
+from recon.method import Method
 from recon.metrics import PhotoQuality, SampleCurve
 from recon.program import program_hash
 from recon.sessions.disk import PART_SUFFIX, Disk, make_folders
 from recon.sessions.manifest import Axis, CaptureSet
 from recon.sessions.session import Session
-from recon.sweeps.correspondence import Method, SweepResult
+from recon.sweeps.correspondence import SweepResult
 from recon.sweeps.decode_pattern import decode_pattern
 from recon.sweeps.noise import NoiseModel
 

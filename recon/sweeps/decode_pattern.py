@@ -2,10 +2,11 @@
 
 from collections.abc import Callable
 
+from recon.method import Method
 from recon.sessions.manifest import Axis, CaptureSet
 from recon.sessions.pattern import GrayLinePattern, StripePattern
 from recon.sessions.session import Session
-from recon.sweeps.correspondence import Method, SweepResult, decode_sweep
+from recon.sweeps.correspondence import SweepResult, decode_sweep
 from recon.sweeps.gray_line import decode_gray_line
 from recon.sweeps.phase_shift import decode_phase_shift
 

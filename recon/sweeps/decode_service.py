@@ -18,11 +18,12 @@ import numpy as np
 
 from recon.errors import ReconError
 from recon.media.stated_index import provisional
-from recon.reconstruct import Limits, cross_paths
+from recon.method import Limits, Method
+from recon.reconstruct import cross_paths
 from recon.sessions.manifest import Axis
 from recon.sessions.session import open_session
 from recon.status import PixelStatus
-from recon.sweeps.correspondence import Method, SweepResult
+from recon.sweeps.correspondence import SweepResult
 from recon.sweeps.correspondence_store import stored_or_decoded
 from recon.sweeps.sweep_quality import sweep_quality
 

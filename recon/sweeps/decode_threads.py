@@ -3,8 +3,8 @@
 import os
 from pathlib import Path
 
+from recon.method import Method
 from recon.sessions.session import Session
-from recon.sweeps.correspondence import Method
 
 # Bytes a pixel of the photo, found with `recon bench`: what stays of a sweep, what one takes while it is decoded,
 # and how much of that for each byte of a sample (photos and windows about the peaks).

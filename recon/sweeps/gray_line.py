@@ -10,6 +10,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from jaxtyping import Bool, Float32, Int32
 
+from recon.method import Method
 from recon.metrics import PhotoQuality
 from recon.sessions.manifest import Axis, CaptureSet
 from recon.sessions.pattern import GrayLinePattern
@@ -17,7 +18,7 @@ from recon.sessions.photos import Counts, saturation_count
 from recon.sessions.session import Session
 from recon.status import PixelStatus
 from recon.sweeps.black_level import LEAST_PEAK_COUNTS, PEAK_SIGMA
-from recon.sweeps.correspondence import Method, SweepResult, place_by_likelihood, place_by_parabola
+from recon.sweeps.correspondence import SweepResult, place_by_likelihood, place_by_parabola
 from recon.sweeps.noise import ROUNDING_VARIANCE, dark_variance
 from recon.sweeps.photo_stream import black_photo, has_black, photo_stream
 from recon.sweeps.stripe_peak import NO_PEAK, PeakWindows

@@ -12,8 +12,8 @@ from pathlib import Path
 
 from rich.console import Console
 
+from recon.method import Limits
 from recon.metrics import StageTime
-from recon.reconstruct import Limits
 from recon.run import run_session
 from recon.running.settings import Settings
 from recon.sessions.disk import Disk

@@ -9,7 +9,8 @@ from traced_session import Mishap, TracedSession, traced_session
 
 from recon.checks.shared_gaps import shared_gaps, with_shared_gaps
 from recon.checks.wet_spots import GROWN_PX, WetSpot, spot_pixels, wet_spots
-from recon.reconstruct import Limits, cross_paths
+from recon.method import Limits
+from recon.reconstruct import cross_paths
 from recon.registration.registration_stage import registration_of
 from recon.running.outcome import Outcome, reconstruct
 from recon.running.settings import Settings

@@ -17,16 +17,16 @@ from batch_example import hashes, killed_worker, make_sessions
 from dask_cluster import local_cluster
 from report_example import example_maps, example_metrics
 
+from recon.batch.asked_batch import chosen
 from recon.batch.batch_record import Batch, recorded_sessions, save_record
 from recon.batch.batch_run import Crew, run_batch
-from recon.batch.command import chosen
 from recon.batch.own_processes import OwnProcesses, WorkerLostError
 from recon.batch.session_list import sessions_asked
 from recon.batch.session_status import Attempt, SessionStatus, load_status, save_status
 from recon.batch.stop_signal import StopSignal
 from recon.errors import ReconError
+from recon.method import Limits
 from recon.metrics import METRICS_NAME, save_metrics
-from recon.reconstruct import Limits
 from recon.run import run_session
 from recon.running.input_hashes import input_hashes
 from recon.running.settings import Settings

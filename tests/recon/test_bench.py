@@ -14,7 +14,8 @@ from recon.bench.contestants import DECODING, PAPER, RUNNING, paper_sweep, runni
 from recon.bench.measurement import measured, own_processes
 from recon.bench.run_scene import radial_error_mm, run_scene
 from recon.errors import ReconError
-from recon.reconstruct import Limits, cross_paths
+from recon.method import Limits
+from recon.reconstruct import cross_paths
 from recon.sessions.session import Session, open_session
 from recon.status import PixelStatus
 from recon.sweeps.correspondence import SweepResult

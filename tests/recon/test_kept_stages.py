@@ -9,8 +9,8 @@ import numpy as np
 import pytest
 from batch_example import EQUAL_FILES, hashes, simulate_one
 
+from recon.method import Limits
 from recon.metrics import METRICS_NAME, Metrics, load_metrics
-from recon.reconstruct import Limits
 from recon.report.rewrite import rewrite_report
 from recon.run import decode_session, run_session
 from recon.running.kept_outcome import kept_outcome, outcome_key

@@ -12,7 +12,8 @@ from recon.media.level_index import index_from_level
 from recon.media.liquid_index import chosen_index, index_sentences, measured_index, with_index_uncertainty
 from recon.media.stated_index import StatedIndex, index_of, provisional, stated_index, with_index
 from recon.media.water import refractive_index, water_density_kg_per_m3, water_index
-from recon.reconstruct import Crossing, Limits, cross_paths
+from recon.method import Limits
+from recon.reconstruct import Crossing, cross_paths
 from recon.running.outcome import reconstruct
 from recon.running.settings import Settings
 from recon.sessions.manifest import Liquid, Manifest

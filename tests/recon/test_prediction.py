@@ -5,7 +5,8 @@ import pytest
 from traced_session import traced_session, with_noise
 
 from recon.geometry.prediction import Guess, Indices, dome, facet, predicted
-from recon.reconstruct import Limits, cross_paths
+from recon.method import Limits
+from recon.reconstruct import cross_paths
 from recon.sessions.manifest import DisplayPanel, Pose
 from sim_backend.scene import load_scene
 

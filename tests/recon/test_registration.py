@@ -4,7 +4,8 @@ import numpy as np
 import pytest
 from traced_session import Mishap, TracedSession, traced_session, with_noise
 
-from recon.reconstruct import Crossing, Limits, cross_paths
+from recon.method import Limits
+from recon.reconstruct import Crossing, cross_paths
 from recon.registration.gap_fit import Motions
 from recon.registration.registration_stage import record_of, registration_of, with_carried
 from recon.registration.session_slips import Registration, registered

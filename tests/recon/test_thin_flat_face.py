@@ -4,9 +4,10 @@ import numpy as np
 import pytest
 from traced_session import traced_session
 
+from recon.method import ThinForm
 from recon.sessions.manifest import FlatFace
 from recon.surface.thin_stage import FLAT_FACE, ONE_REFRACTION, thin_object
-from recon.surface.thin_surface import NOTES, ThinForm
+from recon.surface.thin_surface import NOTES
 from sim_backend.scene import load_scene
 
 
