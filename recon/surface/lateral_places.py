@@ -37,9 +37,7 @@ class LateralPlaces:
 
 def lateral_places(
     point_mm: VectorMap,
-    direction: VectorMap,
-    normal: VectorMap,
-    path_covariance: Float64[np.ndarray, "rows cols 3 3"],
+    shift: Float64[np.ndarray, "pixels 3 3"],
     used: Mask,
     slide_mm: Float32[np.ndarray, "2 draws rows cols"],
     axes: Float64[np.ndarray, "3 3"],
@@ -48,10 +46,10 @@ def lateral_places(
 ) -> LateralPlaces:
     """Smooth the places across the mean line of sight, over windows whose residuals are those of the paths' noise.
 
-    ``slide_mm`` are draws of how far each path meets the surface from where it should, along the first two of the ``axes``; the
-    third is the mean line of sight. So many ``threads`` go through the tiles.
+    ``shift`` is the covariance of where each used pixel's path meets the surface. ``slide_mm`` are draws of how far it meets it
+    from where it should, along the first two of the ``axes``; the third is the mean line of sight. So many ``threads`` go through
+    the tiles.
     """
-    shift = along_surface(path_covariance[used], direction[used], normal[used])
     measured = np.moveaxis(np.nan_to_num(point_mm) @ axes[:2].T, -1, 0)
     variance = np.full((2, *used.shape), np.nan)
     for axis in (0, 1):
@@ -106,10 +104,14 @@ def along_surface(
     result = np.empty_like(covariance)
     for low in range(0, len(result), PIXELS_AT_ONCE):
         part = slice(low, low + PIXELS_AT_ONCE)
-        facing = (direction[part] * normal[part]).sum(axis=1)
-        facing = np.where(np.abs(facing) > 1e-3, facing, 1e-3)
-        slide = np.eye(3) - direction[part][:, :, None] * (normal[part] / facing[:, None])[:, None, :]
-        result[part] = slide @ covariance[part] @ np.swapaxes(slide, 1, 2)
+        path, upward, moved = direction[part], normal[part], covariance[part]
+        facing = (path * upward).sum(axis=1)
+        facing = np.where(np.abs(facing) > 1e-3, facing, 1e-3)[:, None]
+        # (1 − V nᵀ/f) C (1 − n Vᵀ/f) = C − V wᵀ − w Vᵀ, where w = C n/f − V (nᵀ C n)/2f².
+        share = np.einsum("pij,pj->pi", moved, upward) / facing
+        share -= path * (share * upward).sum(axis=1, keepdims=True) / (2 * facing)
+        both = path[:, :, None] * share[:, None, :]
+        result[part] = moved - both - np.swapaxes(both, 1, 2)
     return result
 
 

@@ -69,13 +69,12 @@ def refine_surface(
         How many tiles are refined at a time; the result is the same.
     """
     used = np.isfinite(fused.point_mm).all(axis=2)
-    result = _own_measurement(fused, direction, normal, normal_sd_rad, path_covariance, used)
+    shift = along_surface(path_covariance[used], direction[used], normal[used])
+    result = _own_measurement(fused, direction, normal, normal_sd_rad, shift, used)
     if not used.any():
         return result
-    lateral = lateral_places(
-        *(fused.point_mm, direction, normal, path_covariance, used, fused.slide_mm, fused.sight_frame), threads=threads
-    )
-
+    lateral = lateral_places(fused.point_mm, shift, used, fused.slide_mm, fused.sight_frame, threads=threads)
+    del shift
     depth_px = depth_of(used)
 
     def refine(tile: tuple[Part, Part]) -> None:
@@ -91,11 +90,10 @@ def _own_measurement(
     direction: VectorMap,
     normal: VectorMap,
     normal_sd_rad: ScalarMap,
-    path_covariance: Float64[np.ndarray, "rows cols 3 3"],
+    shift: Float64[np.ndarray, "pixels 3 3"],
     used: Mask,
 ) -> RefinedSurface:
     """Return the surface as it is before any neighbour is asked."""
-    shift = along_surface(path_covariance[used], direction[used], normal[used])
     across = np.abs((direction * normal).sum(axis=2)) * fused.distance_sd_mm
     sd = np.full(used.shape, np.nan)
     sd[used] = np.sqrt(np.trace(shift, axis1=1, axis2=2) + fused.distance_sd_mm[used] ** 2)

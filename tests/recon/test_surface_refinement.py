@@ -6,6 +6,7 @@ from ray_field import crossed, exact_places, noisy_sweeps, scene_manifest
 
 from recon.evaluation.spread import angle_between_rad
 from recon.maps import Maps, Support
+from recon.surface.lateral_places import along_surface
 from recon.surface.noise_reference import NoiseReference, depth_of
 from recon.surface.surface_stage import surface_of
 from recon.surface.window_bias import ClearSlopes, Slopes, bias_left, without_bias
@@ -66,6 +67,16 @@ def test_a_slanting_line_meets_its_polynomial_where_the_quadratic_equation_says(
     a, b, c = 0.036, 0.8 + 0.12 * p, 0.1 * p * p - 2
     for fit in fits:
         assert np.allclose(fit.along, (-b + np.sqrt(b * b - 4 * a * c)) / (2 * a), rtol=1e-6)
+
+
+def test_a_path_that_shifts_meets_the_surface_where_path_and_plane_still_cross() -> None:
+    rng = np.random.default_rng(11)
+    direction, normal = (unit / np.linalg.norm(unit) for unit in ([0.1, -0.3, -1.0], [0.4, 0.2, 1.0]))
+    root = rng.standard_normal((3, 3))
+    # A path through d along V crosses the plane n · x = 0 at d − V (n · d) / (n · V).
+    move = np.eye(3) - np.outer(direction, normal) / (normal @ direction)
+    found = along_surface((root @ root.T)[None], direction[None], normal[None])[0]
+    assert np.allclose(found, move @ root @ (move @ root).T, rtol=1e-12)
 
 
 def test_windows_at_an_edge_are_fitted_as_least_squares_over_the_pixels_inside() -> None:
