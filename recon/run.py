@@ -25,6 +25,7 @@ from recon.running.outcome import Outcome, read_mask, reconstruct_taking
 from recon.running.run_metrics import metrics_of
 from recon.running.settings import Settings
 from recon.running.sweep_findings import sweep_findings
+from recon.sessions.journal import JOURNAL_NAME
 from recon.sessions.session import MANIFEST_NAME, Session, open_session, parse_manifest
 from recon.sessions.wholeness import check_whole
 from recon.stage_timer import StageTimer
@@ -107,7 +108,12 @@ def run_session(
 
 
 def make_folder(out: Path) -> None:
-    """Create the output folder, or say in one sentence why it cannot be."""
+    """Create the output folder, or say in one sentence why it cannot be, or must not."""
+    if (out / JOURNAL_NAME).exists():
+        raise ReconError(
+            f"{out}: --out is the folder of a session, whose manifest and photos stay as they are; choose another, such as "
+            f"{out / 'recon'}"
+        )
     try:
         out.mkdir(parents=True, exist_ok=True)
         probe = out / ".writable"

@@ -195,6 +195,13 @@ def test_results_that_cannot_be_written_say_so_and_leave_the_session_alone(
     assert sorted(path.name for path in session.rglob("*")) == before
 
 
+def test_results_are_not_written_among_the_files_of_a_session(tmp_path: Path, refusal: Callable[..., str]) -> None:
+    session = write_session(tmp_path / "session")
+    before = sorted(path.name for path in session.rglob("*"))
+    assert "--out is the folder of a session" in refusal("run", session, "--out", session)
+    assert sorted(path.name for path in session.rglob("*")) == before
+
+
 @pytest.mark.skipif(not Path("/dev/full").exists(), reason="needs /dev/full, which only Linux has")
 def test_a_full_disk_is_one_sentence(tmp_path: Path, refusal: Callable[..., str]) -> None:
     session = write_session(tmp_path / "session")
