@@ -56,19 +56,20 @@ def guess_from(
     terms = _basis((cols - col[:, None]) / half_width, (rows - row[:, None]) / half_width) * used[..., None]
     values = np.concatenate([maps.point_mm[rows, cols], maps.normal[rows, cols]], axis=2)
     values = np.where(used[..., None], values, 0.0)
-    matrix = np.einsum("nkt,nku->ntu", terms, terms)
+    turned = np.swapaxes(terms, 1, 2)
+    matrix = turned @ terms
     determined = count >= FEWEST_POINTS
     # Places on one line determine nothing; what is added then shows as a variance without bound.
     matrix += RIDGE * np.maximum(count, 1)[:, None, None] * np.eye(TERMS)
     inverse = np.linalg.inv(matrix)
-    coefficients = inverse @ np.einsum("nkt,nkf->ntf", terms, values)
+    coefficients = inverse @ (turned @ values)
     left = np.where(used[..., None], values - terms @ coefficients, 0.0)
     freedom = np.maximum(count - TERMS, 1)
     # The place asked for is the origin, where the basis is 1 and five times 0.
     spread = 1.0 + inverse[:, 0, 0]
     normal = coefficients[:, 0, 3:]
     normal = normal / np.maximum(np.linalg.norm(normal, axis=1, keepdims=True), np.finfo(float).tiny)
-    across = np.einsum("nkf,nf->nk", left[..., :3], normal)
+    across = (left[..., :3] @ normal[:, :, None])[..., 0]
     variances = [
         np.where(determined, spread * (_mean_square(sd, rows, cols, used) + squares / freedom), np.inf)
         for sd, squares in (
