@@ -42,7 +42,7 @@ from recon.surface.ray_chords import (
     rays_of,
 )
 from recon.surface.sheets import NORMAL_CONSISTENT_MAD, Sheets, contradiction, sheets_of, with_long_jumps
-from recon.surface.sparse_solver import SparseSolver
+from recon.surface.sparse_solver import block_solver, solver
 
 ROUNDS = 3
 # Geman and McClure's loss (1987) with this width keeps 95 % of the efficiency of least squares for Gaussian noise.
@@ -147,7 +147,7 @@ def fuse_on_rays(
         errors, slides, turned_squared = drawn_errors(
             graph,
             solved.chords,
-            solved.solver.block_solver(solved.system.matrix, relative_tolerance=DRAW_TOLERANCE),
+            block_solver(solved.system.matrix, relative_tolerance=DRAW_TOLERANCE),
             solved.noise,
             across=solved.sight_frame[:2],
             weights=(solved.system.chord_weight, solved.system.own_weight),
@@ -193,7 +193,6 @@ class _Solved:
     distance: PerPixel
     chords: Chords
     system: _System
-    solver: SparseSolver
     noise: NoiseDraw
     sight_frame: Float64[np.ndarray, "3 3"]
     outlier: np.ndarray
@@ -219,17 +218,13 @@ def _solved(
     chords = chords_of(rays, graph, beyond, distance)
     pairs = _cut(_reweighted(contradiction(chords, graph, rays, distance)), sheets)
     positions = _position_weights(rays, distance)
-    solver = SparseSolver()
     for number in range(rounds if graph.pixels else 0):
-        # Weights change by decades where a measurement is found to be wrong: a multigrid of the last round's would not see it.
-        solver = SparseSolver()
         distance = _solve(
             graph,
             rays,
             chords,
             _system(graph, rays, chords, pairs, positions),
             distance,
-            solver,
             error_sd=ERROR_SD if number == rounds - 1 else ROUND_ERROR_SD,
         )
         del chords, pairs, positions
@@ -249,7 +244,6 @@ def _solved(
         distance=distance,
         chords=chords,
         system=_system(graph, rays, chords, pairs, positions),
-        solver=solver,
         noise=independent_noise(rays) if noise is None else noise(graph.on_grid(distance), graph.mask),
         sight_frame=frame_along(sight / np.linalg.norm(sight)),
         outlier=sheets.outlier,
@@ -312,14 +306,14 @@ def _solve(
     chords: Chords,
     system: _System,
     guess: PerPixel,
-    solver: SparseSolver,
     *,
     error_sd: float,
 ) -> PerPixel:
     """Minimise Σ weight · residual² / variance over chords and measured distances, by a correction to ``guess``."""
     chord_pull = -system.chord_weight * chords.residual(graph, guess)
     right = _gather(graph, chords, chord_pull, system.own_weight * (rays.measured_mm - guess))
-    solve = solver.solver(system.matrix, error_sd=error_sd)
+    # Weights change by decades where a measurement is found to be wrong: a multigrid of the last round's would not see it.
+    solve = solver(system.matrix, error_sd=error_sd)
     return guess + solve(right, np.zeros_like(guess))
 
 

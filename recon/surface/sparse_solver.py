@@ -83,42 +83,35 @@ class SparseSolver:
 
         return solve
 
-    def block_solver(self, matrix: csr_array, *, relative_tolerance: float) -> Callable[[Block], Block]:
-        """Prepare to solve for several right sides at once; the function may run in threads.
 
-        Where they do not converge together, they are solved one by one.
-        """
-        if matrix.shape[0] <= DIRECT_UNKNOWNS:
-            factorised = _direct(matrix)
-            return lambda right: factorised(right.astype(np.float64), right).astype(np.float32)
-        weight = 1 / matrix.diagonal()
-        multigrid, renewed = self._multigrid, False
-
-        def together(right: Block) -> tuple[Block, bool]:
-            nonlocal multigrid, renewed
-            if multigrid is None:
-                multigrid, renewed = Multigrid.of(matrix), True
-            steps = MOST_ITERATIONS if renewed else MOST_WITH_OTHER_WEIGHTS
-            return solved_block(matrix, right, multigrid, weight, relative_tolerance=relative_tolerance, steps=steps)
-
-        def solve(right: Block) -> Block:
-            nonlocal multigrid
-            found, converged = together(right)
-            if not converged and not renewed:
-                multigrid = None
-                found, converged = together(right)
-            if converged:
-                return found
-            one_by_one = solver(matrix, relative_tolerance=relative_tolerance)
-            columns = [one_by_one(column, np.zeros_like(column)) for column in right.T.astype(np.float64)]
-            return np.stack(columns, axis=1).astype(np.float32)
-
-        return solve
-
-
-def solver(matrix: csr_array, *, relative_tolerance: float = RELATIVE_TOLERANCE) -> Callable[[Vector, Vector], Vector]:
+def solver(
+    matrix: csr_array, *, relative_tolerance: float = RELATIVE_TOLERANCE, error_sd: float = 0.0
+) -> Callable[[Vector, Vector], Vector]:
     """Prepare to solve one system, as :meth:`SparseSolver.solver` does."""
-    return SparseSolver().solver(matrix, relative_tolerance=relative_tolerance)
+    return SparseSolver().solver(matrix, relative_tolerance=relative_tolerance, error_sd=error_sd)
+
+
+def block_solver(matrix: csr_array, *, relative_tolerance: float) -> Callable[[Block], Block]:
+    """Prepare to solve for several right sides at once; the function returned may run in threads.
+
+    Where they do not converge together, they are solved one by one.
+    """
+    if matrix.shape[0] <= DIRECT_UNKNOWNS:
+        factorised = _direct(matrix)
+        return lambda right: factorised(right.astype(np.float64), right).astype(np.float32)
+    multigrid, weight = Multigrid.of(matrix), 1 / matrix.diagonal()
+
+    def solve(right: Block) -> Block:
+        found, converged = solved_block(
+            matrix, right, multigrid, weight, relative_tolerance=relative_tolerance, steps=MOST_ITERATIONS
+        )
+        if converged:
+            return found
+        one_by_one = solver(matrix, relative_tolerance=relative_tolerance)
+        columns = [one_by_one(column, np.zeros_like(column)) for column in right.T.astype(np.float64)]
+        return np.stack(columns, axis=1).astype(np.float32)
+
+    return solve
 
 
 def _conjugate_gradients(
