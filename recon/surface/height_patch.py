@@ -150,9 +150,8 @@ def _mean_tilt_squared(
 ) -> ScalarMap:
     """Return the mean square of the angles by which changes of the slopes turn the normal; 0 without any."""
     along = slopes[0] * normal[0].astype(slopes.dtype) + slopes[1] * normal[1].astype(slopes.dtype)
-    squares = np.einsum("adrc,adrc->rc", slopes, slopes, dtype=np.float64)
-    squares -= np.einsum("drc,drc->rc", along, along, dtype=np.float64)
-    return np.maximum(squares, 0.0) / (max(slopes.shape[1], 1) * length**2)
+    squares = np.einsum("adrc,adrc->rc", slopes, slopes) - np.einsum("drc,drc->rc", along, along)
+    return np.maximum(squares.astype(np.float64), 0.0) / (max(slopes.shape[1], 1) * length**2)
 
 
 def beyond_noise(fit: WindowFit, mask: Mask) -> ScalarMap:
