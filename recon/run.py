@@ -12,6 +12,7 @@ from recon.calibration.calibration_file import CALIBRATION_NAME, Calibration, re
 from recon.calibration.session_calibration import calibrated_manifest, calibration_path, with_calibration
 from recon.errors import ReconError
 from recon.maps import MAPS_NAME, save_maps
+from recon.memory import give_back_free_memory
 from recon.metrics import METRICS_NAME, Metrics, StageTime, save_metrics
 from recon.progress import progress_bar
 from recon.report.calibration_page import CALIBRATION_PAGE_NAME, write_calibration_page
@@ -215,6 +216,8 @@ def write_arrays(out: Path, outcome: Outcome, *, key: str, threads: int) -> None
 
     With several ``threads`` cloud and mesh are written while the maps are compressed.
     """
+    # What was surface and mesh in the making is free, and the files need room of their own.
+    give_back_free_memory()
     try:
         forget_outcome(out)
         with ThreadPoolExecutor(min(threads, 2)) as pool:
@@ -233,6 +236,7 @@ def _write_surface(out: Path, outcome: Outcome) -> None:
     write_cloud_ply(out / CLOUD_NAME, maps.point_mm[known], maps.normal[known], maps.sd_mm[known], support=support)
     if outcome.mesh is not None:
         write_mesh_ply(out / MESH_NAME, outcome.mesh)
+        give_back_free_memory()
         write_mesh_glb(out / GLB_NAME, outcome.mesh)
     else:  # the surface of an earlier run is not that of these maps
         (out / MESH_NAME).unlink(missing_ok=True)
