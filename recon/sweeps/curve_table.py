@@ -196,13 +196,20 @@ def shape_of(
     box_px: Float64[np.ndarray, "pixels 2"] | Float32[np.ndarray, "pixels 2"], width_px: Float64[np.ndarray, " pixels"]
 ) -> Int64[np.ndarray, " pixels"]:
     """Return the number of the shape nearest to two boxes inside a footprint of this total standard deviation."""
-    by_col, by_row = box_px.T.astype(np.float64)
-    large, small = np.maximum(by_col, by_row), np.minimum(by_col, by_row)
-    share = np.minimum((large**2 + small**2) / 12 / np.maximum(width_px, 1e-12) ** 2, 1.0)
-    ratio = small / np.maximum(large, 1e-12)
-    share_step = np.rint(share * SHARE_STEPS).astype(np.int64)
-    ratio_step = np.rint(ratio * RATIO_STEPS).astype(np.int64)
-    return np.where(share_step == 0, 0, 1 + (share_step - 1) * (RATIO_STEPS + 1) + ratio_step)
+    shape = np.empty(len(width_px), dtype=np.int64)
+    write_shapes(box_px, width_px, shape)
+    return shape
+
+
+@compiled
+def write_shapes(box_px: np.ndarray, width_px: np.ndarray, shape: np.ndarray) -> None:
+    """Write the numbers of the shapes nearest to two boxes each [pixels, 2] inside footprints of these widths."""
+    for pixel in range(len(shape)):
+        by_col, by_row = float(box_px[pixel, 0]), float(box_px[pixel, 1])
+        large, small, width = max(by_col, by_row), min(by_col, by_row), max(width_px[pixel], 1e-12)
+        share_step = int(np.rint(min((large * large + small * small) / 12 / (width * width), 1.0) * SHARE_STEPS))
+        ratio_step = int(np.rint(small / max(large, 1e-12) * RATIO_STEPS))
+        shape[pixel] = 0 if share_step == 0 else 1 + (share_step - 1) * (RATIO_STEPS + 1) + ratio_step
 
 
 def _curve(width_px: float, shape: int, offset_px: float, table: CurveTable) -> tuple[np.ndarray, np.ndarray]:

@@ -7,6 +7,7 @@ import numpy as np
 from jaxtyping import Bool, Float32, Float64, Int
 from scipy.special import chdtri
 
+from recon.compiled import compiled
 from recon.memory import give_back_free_memory
 from recon.sessions.manifest import StripePattern
 from recon.sweeps.curve_fits import CurveFits, good_fit, prepared_fits
@@ -15,7 +16,7 @@ from recon.sweeps.curve_table import curve_table
 from recon.sweeps.fitted_pixels import keep_second_paths, nothing_fitted
 from recon.sweeps.map_scatter import scatter_beyond
 from recon.sweeps.neighbour_places import told_by_neighbours
-from recon.sweeps.stripe_fit import angular_px
+from recon.sweeps.stripe_fit import angular_log_width
 from recon.sweeps.stripe_peak import PeakWindows
 from recon.sweeps.two_paths import rows_seen_twice, unresolved_px
 
@@ -91,7 +92,7 @@ def places_by_likelihood(
         unsure = np.flatnonzero(unsure_px)
         merged.append(pixels[rows][unsure])
         merged_by_px.append(unsure_px[unsure].astype(np.float32))
-        flat = np.exp(prior.log_width) < angular_px(table)
+        flat = prior.log_width < angular_log_width(table)
         reach_px[rows][flat] = fits.footprints.box_px[rows][flat].sum(axis=1)
     second = keep_second_paths(fitted, rows_seen_twice(windows, pixels), at_once=PIXELS_AT_ONCE)
     give_back_free_memory()
@@ -128,12 +129,30 @@ def places_by_likelihood(
 def _cut_off(curves: SweepCurves, pixels: np.ndarray) -> Bool[np.ndarray, " pixels"]:
     """Return which curves are not down at an end of their window that lies within the sweep."""
     windows = curves.windows
-    half = windows.half_width
-    black = curves.black[pixels].astype(np.float32)
-    first, peak, last = (windows.samples[pixels, column] - black for column in (0, half, 2 * half))
-    number = windows.peak_index[pixels]
-    before, after = number >= half, number < windows.photo_count - half
-    return (before & (first > CUT_OFF_LEVEL * peak)) | (after & (last > CUT_OFF_LEVEL * peak))
+    cut_off = np.empty(len(pixels), dtype=bool)
+    write_cut_off(pixels, windows.samples, windows.peak_index, curves.black, windows.photo_count, cut_off)
+    return cut_off
+
+
+@compiled
+def write_cut_off(
+    pixels: np.ndarray,
+    samples: np.ndarray,
+    peak_index: np.ndarray,
+    black: np.ndarray,
+    photo_count: int,
+    cut_off: np.ndarray,
+) -> None:
+    """Write which of some pixels' windows of counts are too high at an end that lies within the sweep."""
+    last = samples.shape[1] - 1
+    half = last // 2
+    for number in range(len(pixels)):
+        pixel = np.uintp(pixels[number])
+        dark, middle = float(black[pixel]), peak_index[pixel]
+        level = CUT_OFF_LEVEL * (samples[pixel, half] - dark)
+        before = middle >= half and samples[pixel, 0] - dark > level
+        after = middle < photo_count - half and samples[pixel, last] - dark > level
+        cut_off[number] = before or after
 
 
 def _laid(

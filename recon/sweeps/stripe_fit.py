@@ -88,7 +88,7 @@ def _fit_block(
     best_places(samples.height, weight, 1 / noise.read_variance, samples.peak, row, templates, place_px)
     # The samples' own counts gave the first weights; the curve's heights, free of their noise, give the last.
     pixels = Pixels(samples.height, weight, samples.peak, *known, noise.read_variance, noise.gain, noise.relative)
-    flat = np.exp(prior.log_width) < angular_px(table)
+    flat = prior.log_width < angular_log_width(table)
     angular = np.flatnonzero(flat)
     fit = np.empty((len(flat), len(StripeFit.__slots__)))
     _walk(fit, np.flatnonzero(~flat), place_px, pixels, table=table, weigh=True)
@@ -162,7 +162,8 @@ def weights_of(height: np.ndarray, samples: CurveSamples, noise: NoiseModel) -> 
     return weight
 
 
-def angular_px(table: CurveTable) -> float:
-    """Return the width of a footprint below which curves have flat tops and sharp corners."""
+def angular_log_width(table: CurveTable) -> float:
+    """Return the logarithm of the width in px of a footprint below which curves have flat tops and sharp corners."""
     hard_px = ANGULAR_HARD_STEPS * table.pattern.step_px if table.pattern.profile == "hard" else 0.0
-    return hard_px if table.continuous else max(hard_px, ANGULAR_STEPPED_PX)
+    angular_px = hard_px if table.continuous else max(hard_px, ANGULAR_STEPPED_PX)
+    return float(np.log(angular_px)) if angular_px > 0 else -np.inf

@@ -129,13 +129,17 @@ def unresolved_px(fit: StripeFit, prior: WidthPrior) -> Float64[np.ndarray, " pi
     Peaks with shares p and 1 − p at a distance s have the variance p(1 − p)s², which is the mean square distance from the middle
     to either, and adds to the footprint's own. Two peaks are no Gaussian, whose fitted width is then up to half too large.
     """
-    own = np.maximum(fit.width_information, 1e-12)
-    precision = 1 / prior.sd**2
+    unresolved = np.zeros(len(fit.log_width))
+    # Few are wider by enough of the prior's standard deviations for any curve that says something to be no chance.
+    least = WIDE_SIGMA * np.sqrt(LEAST_INFORMATION / (1 + LEAST_INFORMATION))
+    some = np.flatnonzero(fit.log_width - prior.log_width > least * prior.sd)
+    log_width, known = fit.log_width[some], prior.log_width[some]
+    own, precision = np.maximum(fit.width_information[some], 1e-12), 1 / prior.sd[some] ** 2
     # What the curve alone says of its width differs from the prior by this many of its standard deviations.
-    sigma = (fit.log_width - prior.log_width) * np.sqrt((own + precision) * precision / own)
-    excess_px2 = np.exp(2 * fit.log_width) - np.exp(2 * prior.log_width)
+    sigma = (log_width - known) * np.sqrt((own + precision) * precision / own)
     wide = (sigma > WIDE_SIGMA) & (own > LEAST_INFORMATION * precision)
-    return np.sqrt(np.where(wide, np.maximum(excess_px2, 0.0), 0.0))
+    unresolved[some[wide]] = np.sqrt(np.exp(2 * log_width[wide]) - np.exp(2 * known[wide]))
+    return unresolved
 
 
 def _risen(
