@@ -33,11 +33,11 @@ def coordinate_gradient(
     gradient = np.full((rows, cols, 2), np.nan, dtype=np.float32)
     for top, left in product(range(0, rows, TILE_PX), range(0, cols, TILE_PX)):
         bottom, right = min(top + TILE_PX, rows), min(left + TILE_PX, cols)
-        if not valid[top:bottom, left:right].any():
-            continue
         # A tile sees the neighbours of its own neighbours, so that it is none the worse for being one.
         above, before = max(top - NEIGHBOURHOOD_PX, 0), max(left - NEIGHBOURHOOD_PX, 0)
         part = (slice(above, bottom + NEIGHBOURHOOD_PX), slice(before, right + NEIGHBOURHOOD_PX))
+        if np.count_nonzero(valid[part]) < FEWEST_NEIGHBOURS:
+            continue
         inner = (slice(top - above, bottom - above), slice(left - before, right - before))
         for number, slopes in enumerate(_tile_gradient(place_px[part], valid[part], quantum_px=quantum_px)):
             gradient[top:bottom, left:right, number] = slopes[inner]
