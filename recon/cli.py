@@ -11,6 +11,7 @@ from recon.batch import command as batch_command
 from recon.bench.command import register as register_bench
 from recon.errors import ReconError, sentence
 from recon.evaluation import command as evaluation_command
+from recon.interruption import Interrupted, InterruptibleCommands
 from recon.metrics import Metrics, StageTime
 from recon.progress import progress_bar
 from recon.running.options import (
@@ -32,6 +33,7 @@ from recon.study.command import register as register_study
 from recon.view import register as register_view
 
 app = typer.Typer(
+    cls=InterruptibleCommands,
     help="Turn saved sessions of a transparent object into points, normals and a mesh.",
     no_args_is_help=True,
     pretty_exceptions_enable=False,
@@ -171,6 +173,6 @@ def main() -> None:
     except (ReconError, MemoryError, OSError) as error:
         Console(stderr=True, highlight=False, markup=False, soft_wrap=True).print(f"recon: {sentence(error)}")
         sys.exit(1)
-    except KeyboardInterrupt:
+    except (Interrupted, KeyboardInterrupt):
         print("recon: stopped; nothing of the session was changed", file=sys.stderr)
         sys.exit(130)

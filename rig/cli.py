@@ -11,6 +11,7 @@ from rich.console import Console
 
 from drivers.errors import DeviceError
 from recon.errors import ReconError
+from recon.interruption import Interrupted, InterruptibleCommands
 from recon.sessions.session import open_session
 from rig import options
 from rig.by_hand.camera_cli import app as camera_app
@@ -38,6 +39,7 @@ from sim_backend.scene import load_scene, scene_names
 
 app = typer.Typer(
     name="rig",
+    cls=InterruptibleCommands,
     help="Photograph a transparent object: four sweeps of a stripe, two display places, dry and wet.",
     no_args_is_help=True,
     add_completion=False,
@@ -273,7 +275,7 @@ def main() -> None:
     except OSError as error:
         place = f"{error.filename}: " if error.filename else ""
         _fail(f"{place}{error.strerror or error}", code=1)
-    except KeyboardInterrupt:
+    except (Interrupted, KeyboardInterrupt):
         _fail("interrupted", code=130)
 
 

@@ -156,6 +156,14 @@ def test_a_mistake_costs_one_sentence(rig: Run, tmp_path: Path, arguments: tuple
     assert not (tmp_path / "s").exists()
 
 
+def test_a_person_who_stops_a_command_is_told_so(rig: Run, monkeypatch: pytest.MonkeyPatch) -> None:
+    def stopped() -> None:
+        raise KeyboardInterrupt
+
+    monkeypatch.setattr("rig.cli.scene_names", stopped)
+    assert rig("scenes") == (130, "", "rig: interrupted\n")
+
+
 def test_real_and_simulated_photos_never_share_a_session(rig: Run, captured: Path) -> None:
     code, _, err = rig("capture", "--resume", "--session", str(captured))
     assert code == 1
