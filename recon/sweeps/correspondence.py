@@ -7,6 +7,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 from jaxtyping import Bool, Float, Float32, UInt8
 
+from recon.errors import SessionError
 from recon.memory import give_back_free_memory
 from recon.method import Method
 from recon.metrics import PhotoQuality, SampleCurve
@@ -84,7 +85,7 @@ def decode_sweep(
         )
     # Two paths are for the fit to tell apart.
     tracker = PeakTracker(floor, half_width=half_width, second=method == "full")
-    photos = _stream(session, capture_set, axis, tracker, clipped=saturation_count(black), on_photo=on_photo)
+    photos = _stream(session, capture_set, axis, tracker, black=black, on_photo=on_photo)
     windows = tracker.finish()
     del tracker, floor
     give_back_free_memory()
@@ -115,13 +116,18 @@ def _stream(
     axis: Axis,
     tracker: "PeakTracker",
     *,
-    clipped: int,
+    black: np.ndarray,
     on_photo: Callable[[], None],
 ) -> tuple[PhotoQuality, ...]:
     free: np.ndarray | None = None
-    quality = []
+    quality, clipped = [], saturation_count(black)
     for index in session.photo_numbers(capture_set, axis):
         counts = read_session_photo(session, capture_set.name, axis, index, buffer=free)
+        if counts.dtype != black.dtype:
+            raise SessionError(
+                f"{session.photo_file(capture_set.name, axis, index)}: {8 * counts.itemsize} bits a sample, but other photos of "
+                f"the set have {8 * black.itemsize}; convert them to the same depth, or take them again"
+            )
         free = tracker.feed(counts)
         brightest = tracker.brightest()
         quality.append(photo_quality(counts, capture_set, axis, index, brightest=brightest, clipped=clipped))

@@ -9,8 +9,10 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
+import cv2
+import numpy as np
 import pytest
-from session_example import manifest, write_session
+from session_example import COLS, ROWS, manifest, write_session
 
 from recon.cli import main
 
@@ -209,6 +211,25 @@ def test_a_full_disk_is_one_sentence(tmp_path: Path, refusal: Callable[..., str]
     out.mkdir()
     os.symlink("/dev/full", out / "maps.npz")
     assert "No space left on device" in refusal("run", session, "--out", out)
+
+
+def test_photos_of_different_depths_in_a_set_are_refused(tmp_path: Path, refusal: Callable[..., str]) -> None:
+    session = write_session(tmp_path / "session")
+    deep = np.zeros((ROWS, COLS), dtype=np.uint16)
+    (session / "photos/pos0_air/x/0002.jpg").write_bytes(cv2.imencode(".png", deep)[1].tobytes())
+    message = refusal("run", session, "--out", tmp_path / "out")
+    assert "8 bits a sample, but other photos of the set have 16" in message
+
+
+def test_a_person_who_stops_a_run_is_told_that_the_session_is_as_it_was(
+    tmp_path: Path, refusal: Callable[..., str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def stopped(*_arguments: object, **_settings: object) -> None:
+        raise KeyboardInterrupt
+
+    monkeypatch.setattr("recon.run.run_session", stopped)
+    message = refusal("run", write_session(tmp_path / "session"), "--out", tmp_path / "out")
+    assert message == "recon: stopped; nothing of the session was changed"
 
 
 def test_an_integration_of_thin_objects_is_refused_for_a_session_with_liquid(
