@@ -140,9 +140,7 @@ def _bias(
 ) -> Float[np.ndarray, "2 *draws rows cols"]:
     """Return what is taken off: the law's bias of whole windows; of cut ones what they are off ``against`` whole smaller ones."""
     result = np.where(depth_px > half_width, law, law.dtype.type(0))
-    for depth in range(smaller + 1, half_width + 1):
-        there = depth_px == depth
-        replace_by_means(against, np.where(there, weight, 0.0), there, result, window_px=RIM_WINDOW_PX)
+    _replace_by_those_alike(against, weight, depth_px, range(smaller + 1, half_width + 1), result)
     return result
 
 
@@ -157,9 +155,7 @@ def _left(
 ) -> Float[np.ndarray, "2 *draws rows cols"]:
     """Return what the means smooth away of the bias, and all of the law's where nothing was taken off."""
     smooth = np.where(depth_px > half_width, _by_depth(law, weight, depth_px, half_width=half_width), law.dtype.type(0))
-    for depth in range(smaller + 1, half_width + 1):
-        there = depth_px == depth
-        replace_by_means(bias, np.where(there, weight, 0.0), there, smooth, window_px=RIM_WINDOW_PX)
+    _replace_by_those_alike(bias, weight, depth_px, range(smaller + 1, half_width + 1), smooth)
     return np.where(depth_px > smaller, bias, law) - smooth
 
 
@@ -176,7 +172,18 @@ def _by_depth(
     result = np.empty_like(slopes)
     replace_by_means(slopes, whole, depth_px > last, result, window_px=BIAS_WINDOW_PX)
     replace_by_means(slopes, outermost, depth_px <= first, result, window_px=RIM_WINDOW_PX)
-    for depth in range(first + 1, last + 1):
+    _replace_by_those_alike(slopes, weight, depth_px, range(first + 1, last + 1), result)
+    return result
+
+
+def _replace_by_those_alike(
+    slopes: Float[np.ndarray, "2 *draws rows cols"],
+    weight: ScalarMap,
+    depth_px: ScalarMap,
+    depths: range,
+    result: Float[np.ndarray, "2 *draws rows cols"],
+) -> None:
+    """Write, at each of these depths, the weighted mean over the pixels along the rim that are as deep."""
+    for depth in depths:
         there = depth_px == depth
         replace_by_means(slopes, np.where(there, weight, 0.0), there, result, window_px=RIM_WINDOW_PX)
-    return result

@@ -32,13 +32,21 @@ def replace_by_means(
     *,
     window_px: int,
 ) -> None:
-    """Write :func:`weighted_means` into the result, at some of the pixels alone."""
+    """Write :func:`weighted_means` into the result, at some of the pixels alone.
+
+    Raises
+    ------
+    ValueError
+        For a window of another width, and for a result whose fields do not lie one after the other.
+    """
     if window_px not in WIDTHS_PX:
         raise ValueError(f"windows may be {WIDTHS_PX} pixels wide, not {window_px}")
     if not there.any():
         return
     planes = np.ascontiguousarray(fields).reshape(-1, *weight.shape)
-    write_means(planes, np.ascontiguousarray(weight), window_px // 2, there, result.reshape(planes.shape))
+    # What is written into a copy would be lost.
+    into = result.reshape(planes.shape, copy=False)
+    write_means(planes, np.ascontiguousarray(weight), window_px // 2, there, into)
 
 
 @compiled

@@ -10,7 +10,7 @@ from recon.surface.lateral_places import along_surface
 from recon.surface.noise_reference import NoiseReference, depth_of
 from recon.surface.surface_stage import surface_of
 from recon.surface.window_bias import ClearSlopes, Slopes, bias_left, without_bias
-from recon.surface.window_means import weighted_means
+from recon.surface.window_means import replace_by_means, weighted_means
 from recon.surface.window_quadratic import Lines, WindowFit, fit_windows
 from sim_backend.scene import load_scene
 from sim_backend.truth import Truth, compute_truth
@@ -196,6 +196,12 @@ def test_weighted_means_are_those_of_the_window_within_the_map(window_px: int) -
 def test_means_over_a_window_of_another_width_are_refused() -> None:
     with pytest.raises(ValueError, match="pixels wide, not 7"):
         weighted_means(np.zeros((2, 9, 9)), np.ones((9, 9)), window_px=7)
+
+
+def test_means_that_would_be_written_into_a_copy_are_refused() -> None:
+    fields, ones = np.zeros((2, 3, 9, 9)), np.ones((9, 9))
+    with pytest.raises(ValueError, match="copy"):
+        replace_by_means(fields, ones, ones > 0, np.asfortranarray(fields), window_px=5)
 
 
 def test_few_draws_tell_the_noise_of_windows_to_a_per_cent_where_it_is_a_share_of_what_went_in() -> None:
