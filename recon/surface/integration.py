@@ -162,7 +162,7 @@ def weighted_medians(values: np.ndarray, weight: np.ndarray, group: np.ndarray) 
     order = np.lexsort((values, group))
     labels, start = np.unique(group[order], return_index=True)
     medians = {}
-    for label, members in zip(labels, np.split(order, start[1:]), strict=True):
+    for label, members in zip(labels, np.split(order, start)[1:], strict=True):
         upto = np.cumsum(weight[members])
         half = 0.5 * upto[-1]
         low = np.searchsorted(upto, half * (1 - 1e-12))

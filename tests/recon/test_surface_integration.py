@@ -69,6 +69,23 @@ def test_tilted_plane_is_exact_in_perspective(form: Integration) -> None:
     assert np.abs((found.point_mm @ facing)[mask]).max() < 1e-4
 
 
+@pytest.mark.parametrize("form", FORMS)
+@pytest.mark.parametrize("shown", [(slice(2, 3), slice(None)), (slice(2, 3), slice(3, 4)), (slice(0), slice(0))])
+def test_one_row_one_pixel_and_none_are_integrated_without_a_fault(
+    form: Integration, shown: tuple[slice, slice]
+) -> None:
+    x, y = grid(6)
+    mask = np.zeros(x.shape, dtype=bool)
+    mask[shown] = True
+    facing, depth = np.broadcast_to(-ALONG_Z, (*x.shape, 3)).copy(), np.full(x.shape, 7.0)
+    found = integrate_orthographic(
+        facing, mask, origin_mm=origins(x, y), direction=ALONG_Z, anchor_depth_mm=depth, integration=form
+    )
+    known = np.isfinite(found.depth_mm)
+    assert not known[~mask].any()
+    assert found.depth_mm[known] == pytest.approx(7.0)
+
+
 def test_sphere_is_exact_because_its_chords_are_normal_to_mean_normals() -> None:
     x, y = grid(41)
     depth = np.sqrt(15.0**2 - x**2 - y**2, where=disc(x, y, 12), out=np.full_like(x, np.nan))
