@@ -80,7 +80,8 @@ def decode_sweep(
             lambda number: read_session_photo(session, capture_set.name, axis, number),
             session.photo_numbers(capture_set, axis),
             black=black,
-            floor=floor,
+            # The widest curves are the faintest: a few peaks of noise among them do less harm than to miss them.
+            floor=noise_floor(black, dark),
             least=half_width,
         )
     # Two paths are for the fit to tell apart.
