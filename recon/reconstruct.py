@@ -69,8 +69,12 @@ def cross_paths(
     method: Method,
     limits: Limits,
     inside_mask: np.ndarray | None = None,
+    threads: int = 1,
 ) -> tuple[UInt8[np.ndarray, " pixels"], Crossing]:
-    """Cross the paths in liquid and in air of every matched pixel; return the status of all pixels and the crossings."""
+    """Cross the paths in liquid and in air of every matched pixel; return the status of all pixels and the crossings.
+
+    So many ``threads`` share the pixels.
+    """
     status = combined_status(sweeps, manifest.sets)
     if inside_mask is not None:
         status[~inside_mask.ravel() & (status != PixelStatus.UNLIT)] = PixelStatus.MASKED_OUT
@@ -86,7 +90,7 @@ def cross_paths(
             lesser = second_correspondences(sweeps, one, manifest, by_lesser)
             found = found.with_rows_of(lesser, np.searchsorted(pixels, by_lesser))
         by_name[one.name] = found
-    paths, points = _crossed(by_name, manifest, method=method)
+    paths, points = _crossed(by_name, manifest, method=method, threads=threads)
     route = normals_from_angles if method == "paper" else normals_from_paths
     media = {"n_liquid": manifest.n_liquid(), "n_air": manifest.n_air}
     normal = route(paths["liquid"].direction, paths["air"].direction, **media)
@@ -157,14 +161,14 @@ def _choices(
 
 
 def _crossed(
-    by_name: Mapping[str, Correspondences], manifest: Manifest, *, method: Method
+    by_name: Mapping[str, Correspondences], manifest: Manifest, *, method: Method, threads: int = 1
 ) -> tuple[dict[str, LightPaths], EntryPoints]:
     """Make the paths in liquid and in air, and cross them."""
     paths = {
         condition: paths_of(by_name, manifest, condition, n_medium=n, method=method)
         for condition, n in (("liquid", manifest.n_liquid()), ("air", manifest.n_air))
     }
-    return paths, entry_points(paths["liquid"], paths["air"], weighted=method == "full")
+    return paths, entry_points(paths["liquid"], paths["air"], weighted=method == "full", threads=threads)
 
 
 def paths_of(

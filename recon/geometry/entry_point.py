@@ -4,6 +4,7 @@ Geometry of two skew lines P + sU and Q + tV. In their common directions the cro
 c = U×V/|U×V| each line says where it is, and the gap between them measures how well they agree.
 """
 
+from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
 
 import numpy as np
@@ -13,7 +14,7 @@ from recon.geometry.light_paths import LightPaths
 
 # sin² of the angle below which two lines have no crossing in double precision.
 PARALLEL = 1e-18
-PIXELS_AT_ONCE = 1 << 17
+PIXELS_AT_ONCE = 1 << 14
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -39,24 +40,30 @@ class EntryPoints:
         return EntryPoints(*(getattr(self, name)[pixels] for name in EntryPoints.__slots__))
 
 
-def entry_points(liquid: LightPaths, air: LightPaths, *, weighted: bool) -> EntryPoints:
+def entry_points(liquid: LightPaths, air: LightPaths, *, weighted: bool, threads: int = 1) -> EntryPoints:
     """Cross the two paths of each pixel, some at a time: what is made on the way takes more memory than what comes out.
 
     The paper takes the middle of the shortest segment between them; ``weighted`` divides that segment by the two
-    paths' variances instead. Parallel paths give NaN.
+    paths' variances instead. Parallel paths give NaN. So many ``threads`` share the pixels.
     """
     count = len(liquid.direction)
     if count <= PIXELS_AT_ONCE:
         return _entry_points(liquid, air, weighted=weighted)
-    result: EntryPoints | None = None
-    for low in range(0, count, PIXELS_AT_ONCE):
+
+    def room(*shape: int) -> np.ndarray:
+        return np.empty((count, *shape))
+
+    covariance = np.empty((count, 3, 3), np.float32)
+    result = EntryPoints(room(3), room(), room(), room(), room(), room(), room(), covariance)
+
+    def cross(low: int) -> None:
         rows = slice(low, low + PIXELS_AT_ONCE)
         part = _entry_points(liquid.some(rows), air.some(rows), weighted=weighted)
-        values = [getattr(part, name) for name in EntryPoints.__slots__]
-        result = result or EntryPoints(*(np.empty((count, *one.shape[1:]), one.dtype) for one in values))
-        for name, one in zip(EntryPoints.__slots__, values, strict=True):
-            getattr(result, name)[rows] = one
-    assert result is not None
+        for name in EntryPoints.__slots__:
+            getattr(result, name)[rows] = getattr(part, name)
+
+    with ThreadPoolExecutor(threads) as pool:
+        list(pool.map(cross, range(0, count, PIXELS_AT_ONCE)))
     return result
 
 

@@ -2,6 +2,7 @@
 
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
+from functools import partial
 
 import numpy as np
 from jaxtyping import UInt8
@@ -117,13 +118,15 @@ def _reconstruct(
     stated = stated_index(manifest)
     manifest = provisional(manifest)
     registration, manifest = _register(session, manifest, sweeps, settings, mask, known)
-    status, crossing = cross_paths(sweeps, manifest, method=settings.method, limits=settings.limits, inside_mask=mask)
+    threads = settings.threads or usable_cores()
+    cross = partial(
+        cross_paths, sweeps, method=settings.method, limits=settings.limits, inside_mask=mask, threads=threads
+    )
+    status, crossing = cross(manifest)
     index = chosen_index(stated, measured_index(crossing, manifest))
     if stated is None:
         manifest = with_index(manifest, index.n)
-        status, crossing = cross_paths(
-            sweeps, manifest, method=settings.method, limits=settings.limits, inside_mask=mask
-        )
+        status, crossing = cross(manifest)
         crossing = with_index_uncertainty(crossing, manifest, sd=index.sd or 0.0)
     if registration is not None:
         crossing = with_carried(crossing, registration, manifest)
@@ -154,7 +157,7 @@ def _reconstruct(
         method=settings.method,
         own=own,
         apart=apart,
-        threads=settings.threads or usable_cores(),
+        threads=threads,
     )
     doubts: tuple[str, ...] = ()
     if shared is not None:

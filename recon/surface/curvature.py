@@ -7,6 +7,7 @@ normal is another one, and the surface lies below the tangent plane: both by the
 import numpy as np
 from jaxtyping import Float32
 
+from recon.bands import over_bands
 from recon.compiled import compiled
 from recon.surface.ray_chords import Mask, VectorMap
 
@@ -20,17 +21,25 @@ TINY = np.finfo(float).tiny
 Tensors = Float32[np.ndarray, "rows cols 3 3"]
 
 
-def curvature_of(point_mm: VectorMap, normal: VectorMap, used: Mask) -> Tensors:
-    """Return K in 1/mm, tangential, so that a step d along the surface turns the normal by K d; 0 outside the mask."""
+def curvature_of(point_mm: VectorMap, normal: VectorMap, used: Mask, *, threads: int = 1) -> Tensors:
+    """Return K in 1/mm, tangential, so that a step d along the surface turns the normal by K d; 0 outside the mask.
+
+    So many ``threads`` share the rows.
+    """
     result, size = np.zeros((*used.shape, 3, 3), np.float32), np.zeros(used.shape)
     if used.any():
         mean_point = point_mm[used].mean(axis=0)
         point_mm, normal = np.ascontiguousarray(point_mm), np.ascontiguousarray(normal)
-        _curvatures(point_mm, normal, used, mean_point, 0.0, result, size)
+        least = 0.0
+
+        def write(band: slice) -> None:
+            _curvatures(point_mm, normal, used, mean_point, least, band.start, band.stop, result, size)
+
+        over_bands(write, len(used), threads=threads)
         least = LINE * float(np.median(size[used]))
         # A lone pixel spreads over nothing, and shows no bend.
         if (size[used] < least).any():
-            _curvatures(point_mm, normal, used, mean_point, least, result, size)
+            over_bands(write, len(used), threads=threads)
     return result
 
 
@@ -41,21 +50,26 @@ def _curvatures(
     used: np.ndarray,
     mean_point: np.ndarray,
     least: float,
+    first: int,
+    end: int,
     result: np.ndarray,
     size: np.ndarray,
 ) -> None:
-    """Write the curvature of every used pixel, and over what area its window spreads, which counts as ``least`` at least."""
+    """Write the curvature of every used pixel of the rows from ``first`` to before ``end``.
+
+    Beside it, over what area its window spreads, which counts as ``least`` at least.
+    """
     rows, cols = used.shape
     reach = WINDOW_PX // 2
     ring, line, total = np.zeros((WINDOW_PX, SUMS, cols)), np.zeros(cols + 2 * reach), np.zeros((SUMS, cols))
     spread, shared, tangents = np.empty((3, 3)), np.empty((3, 3)), np.empty((2, 3))
-    for ahead in range(rows + reach):
+    for ahead in range(max(first - reach, 0), end + reach):
         products = ring[ahead % WINDOW_PX]
         products[:] = 0.0
         if ahead < rows:
             _write_products(point[ahead], normal[ahead], used[ahead], mean_point, products)
         row = ahead - reach
-        if row < 0 or not used[row].any():
+        if row < first or not used[row].any():
             continue
         for one in range(SUMS):
             middle, here = line[reach : reach + cols], total[one]

@@ -39,7 +39,7 @@ NoiseAt = Callable[[ScalarMap, Mask], NoiseDraw]
 def drawn_errors(
     graph: Neighbours,
     chords: Chords,
-    solve: Callable[[Block], Block],
+    prepared: Callable[[], Callable[[Block], Block]],
     noise: NoiseDraw,
     *,
     across: Float64[np.ndarray, "2 3"],
@@ -54,8 +54,8 @@ def drawn_errors(
 
     Parameters
     ----------
-    solve
-        Solves the equations, for some right sides at a time.
+    prepared
+        Makes ready what solves the equations, for some right sides at a time.
     across
         Two unit vectors across the mean line of sight.
     weights
@@ -63,7 +63,7 @@ def drawn_errors(
     scales
         By how much the noise of distances, and of normals, is larger than was said.
     threads
-        With more than one, a set of draws is solved while the next is drawn.
+        With more than one, the solver is made ready while the first set is drawn, and a set is solved while the next is drawn.
     """
     rng = np.random.default_rng(DRAW_SEED)
     places = np.flatnonzero(graph.mask)
@@ -75,11 +75,13 @@ def drawn_errors(
     jobs = []
 
     def solve_set(first: int, right: Block) -> None:
-        for number, found in enumerate(solve(right).T):
+        for number, found in enumerate(solve.result()(right).T):
             errors[first + number].reshape(-1)[places] = found
 
-    # One set is solved while the next is drawn.
     with ThreadPoolExecutor(1) as pool:
+        solve = pool.submit(prepared)
+        if threads == 1:
+            solve.result()
         for first in range(0, DRAWS, COLUMNS):
             right = np.empty((len(places), COLUMNS), np.float32)
             for column in range(COLUMNS):

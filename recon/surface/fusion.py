@@ -9,6 +9,7 @@ still tangential, so that noise does not enter.
 
 from collections.abc import Callable
 from dataclasses import dataclass
+from functools import partial
 
 import cv2
 import numpy as np
@@ -147,7 +148,7 @@ def fuse_on_rays(
         errors, slides, turned_squared = drawn_errors(
             graph,
             solved.chords,
-            block_solver(solved.system.matrix, relative_tolerance=DRAW_TOLERANCE),
+            partial(block_solver, solved.system.matrix, relative_tolerance=DRAW_TOLERANCE),
             solved.noise,
             across=solved.sight_frame[:2],
             weights=(solved.system.chord_weight, solved.system.own_weight),

@@ -11,6 +11,7 @@ import cv2
 import numpy as np
 from jaxtyping import Bool, Float64
 
+from recon.bands import over_bands
 from recon.compiled import compiled
 from recon.geometry.entry_point import EntryPoints
 from recon.geometry.light_paths import LightPaths
@@ -76,21 +77,26 @@ class PathCrossing:
         """
         return np.linalg.norm(self.mean_cross, axis=1) > angle_sigma * self.mean_sd
 
-    def measured_near(self, distance_mm: PerPath) -> tuple[PerPath, PerPath]:
+    def measured_near(self, distance_mm: PerPath, *, threads: int = 1) -> tuple[PerPath, PerPath]:
         """Return the distance along the liquid path that each crossing tells, and its sd, for a surface near ``distance_mm``.
 
         At that distance the air path passes the liquid path within the mean plane of both; by the mean angle, that many mm are
-        still to go. This is linear in the paths' noise, which therefore does not bias it.
+        still to go. This is linear in the paths' noise, which therefore does not bias it. So many ``threads`` share the pixels.
         """
-        liquid, air = self.liquid, self.air
-        noises = [noise for paths in (liquid, air) for noise in (paths.near_noise, paths.far_noise)]
+        noises = [noise for paths in (self.liquid, self.air) for noise in (paths.near_noise, paths.far_noise)]
+        axes = np.stack([noise.axes for noise in noises])
         told_mm, sd_mm = np.empty(len(distance_mm)), np.empty(len(distance_mm))
-        _write_measured(
-            *(liquid.near_mm, liquid.direction, liquid.baseline_mm, air.near_mm, air.direction, air.baseline_mm),
-            *(self.mean_cross, np.stack([noise.axes for noise in noises])),
-            *(liquid.near_noise.sd_mm, liquid.far_noise.sd_mm, air.near_noise.sd_mm, air.far_noise.sd_mm),
-            *(distance_mm, told_mm, sd_mm),
-        )
+
+        def write(band: slice) -> None:
+            liquid, air = self.liquid.some(band), self.air.some(band)
+            _write_measured(
+                *(liquid.near_mm, liquid.direction, liquid.baseline_mm, air.near_mm, air.direction, air.baseline_mm),
+                *(self.mean_cross[band], axes),
+                *(liquid.near_noise.sd_mm, liquid.far_noise.sd_mm, air.near_noise.sd_mm, air.far_noise.sd_mm),
+                *(distance_mm[band], told_mm[band], sd_mm[band]),
+            )
+
+        over_bands(write, len(distance_mm), threads=threads)
         return told_mm, sd_mm
 
     def along_air(self, distance_mm: PerPath) -> PerPath:

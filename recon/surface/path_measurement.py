@@ -5,6 +5,7 @@ from dataclasses import dataclass
 import numpy as np
 from jaxtyping import Bool, Float32, Float64, Int
 
+from recon.bands import over_bands
 from recon.compiled import compiled
 from recon.geometry.light_paths import LightPaths
 from recon.method import Limits
@@ -25,7 +26,7 @@ class PathMeasurement:
     """Crossing and noise of the paths of ``pixels``, which number the grid of ``shape`` row by row.
 
     ``surface_pixel`` marks those whose normal counts, ``readable`` those whose crossing does too; ``facing`` is the cosine
-    between liquid path and normal.
+    between liquid path and normal. So many ``threads`` share the pixels.
     """
 
     crossing: PathCrossing
@@ -36,6 +37,7 @@ class PathMeasurement:
     facing: PerPath
     normal_map: VectorMap
     shape: tuple[int, int]
+    threads: int = 1
 
     @classmethod
     def of(
@@ -46,6 +48,7 @@ class PathMeasurement:
         shape: tuple[int, int],
         n_liquid: float,
         n_air: float,
+        threads: int = 1,
     ) -> "PathMeasurement":
         """Prepare to measure by the paths of all pixels that were crossed."""
         liquid, normal, pixels = crossing.liquid, crossing.normal, crossing.pixels
@@ -59,6 +62,7 @@ class PathMeasurement:
             facing=np.maximum(-(liquid.direction * normal).sum(axis=1), LEAST_FACING),
             normal_map=_spread(normal, surface_pixel, pixels, shape),
             shape=shape,
+            threads=threads,
         )
 
     def on_grid(self, values: np.ndarray, where: Bool[np.ndarray, " pixels"]) -> Float64[np.ndarray, "..."]:
@@ -72,8 +76,9 @@ class PathMeasurement:
         the path's squared shift along the surface. That correction is no surer than itself.
         """
         along, liquid = distance_mm.ravel()[self.pixels], self.paths.liquid
-        told_mm, sd_mm = self.crossing.measured_near(along)
-        below_mm = 0.5 * _bent(liquid, along, self.paths.normal, self._curvature(along)) / self.facing
+        told_mm, sd_mm = self.crossing.measured_near(along, threads=self.threads)
+        bent = _bent(liquid, along, self.paths.normal, self._curvature(along), threads=self.threads)
+        below_mm = 0.5 * bent / self.facing
         return self.on_grid(told_mm + below_mm, self.readable), self.on_grid(np.hypot(sd_mm, below_mm), self.readable)
 
     def noise_at(self, distance_mm: ScalarMap, used: Mask) -> NoiseDraw:
@@ -101,7 +106,7 @@ class PathMeasurement:
     def _curvature(self, along_mm: PerPath) -> Float32[np.ndarray, "pixels 3 3"]:
         point_mm = self.on_grid(self.paths.liquid.point_at(along_mm), self.surface_pixel)
         used = np.isfinite(point_mm).all(axis=2) & np.isfinite(self.normal_map).all(axis=2)
-        return curvature_of(point_mm, self.normal_map, used).reshape(-1, 3, 3)[self.pixels]
+        return curvature_of(point_mm, self.normal_map, used, threads=self.threads).reshape(-1, 3, 3)[self.pixels]
 
 
 def _spread(
@@ -117,14 +122,21 @@ def _bent(
     along_mm: PerPath,
     normal: Float64[np.ndarray, "pixels 3"],
     curvature: Float32[np.ndarray, "pixels 3 3"],
+    *,
+    threads: int,
 ) -> PerPath:
     """Return how much the surface bends over the square of each path's slide along it, on the mean."""
     result = np.empty(len(along_mm))
-    noises = (liquid.near_noise, liquid.far_noise)
-    _write_bent(
-        *(liquid.direction, normal, along_mm / liquid.baseline_mm, curvature),
-        *(np.stack([noise.axes for noise in noises]), *(noise.sd_mm for noise in noises), result),
-    )
+    axes = np.stack([noise.axes for noise in (liquid.near_noise, liquid.far_noise)])
+
+    def write(band: slice) -> None:
+        some = liquid.some(band)
+        _write_bent(
+            *(some.direction, normal[band], along_mm[band] / some.baseline_mm, curvature[band]),
+            *(axes, some.near_noise.sd_mm, some.far_noise.sd_mm, result[band]),
+        )
+
+    over_bands(write, len(result), threads=threads)
     return result
 
 

@@ -162,7 +162,7 @@ def _fused(crossing: Crossing, shape: tuple[int, int], *, n_liquid: float, n_air
     has_point = crossing.status == PixelStatus.OK
     liquid, points = crossing.liquid, crossing.points
     along_sd = np.sqrt(np.einsum("pi,pij,pj->p", liquid.direction, points.covariance, liquid.direction))
-    paths = PathMeasurement.of(crossing, everywhere, shape=shape, n_liquid=n_liquid, n_air=n_air)
+    paths = PathMeasurement.of(crossing, everywhere, shape=shape, n_liquid=n_liquid, n_air=n_air, threads=threads)
     on_grid = paths.on_grid
     direction = on_grid(liquid.direction, everywhere)
     normal_sd_rad = on_grid(crossing.normal_sd_rad, everywhere)

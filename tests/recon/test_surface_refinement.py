@@ -1,11 +1,16 @@
 """Refined points and normals against the simulator's own optics, with correspondences of known noise."""
 
+from dataclasses import fields
+
 import numpy as np
 import pytest
 from ray_field import crossed, exact_places, noisy_sweeps, scene_manifest
 
 from recon.evaluation.spread import angle_between_rad
+from recon.geometry import entry_point
 from recon.maps import Maps, Support
+from recon.method import Limits
+from recon.reconstruct import cross_paths, maps_of
 from recon.surface.lateral_places import along_surface
 from recon.surface.noise_reference import NoiseReference, depth_of
 from recon.surface.surface_stage import surface_of
@@ -240,6 +245,22 @@ def test_normals_are_as_far_off_as_their_standard_deviations_say(hemisphere: tup
     ratio = angle_between_rad(after.normal[judged], truth.normal[judged]) / after.normal_sd_rad[judged]
     assert np.sqrt(np.mean(ratio**2)) == pytest.approx(1.0, abs=0.15)
     assert np.mean(ratio < np.sqrt(-np.log(0.05))) == pytest.approx(0.95, abs=0.02)
+
+
+def test_a_surface_is_the_same_to_the_last_bit_however_many_threads_share_it(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(entry_point, "PIXELS_AT_ONCE", 50)
+    scene = load_scene("hemisphere").resized(camera_columns=72)
+    manifest = scene_manifest(scene)
+    sweeps = noisy_sweeps(exact_places(scene), sd_px=0.05, rng=np.random.default_rng(4))
+    surfaces = []
+    for threads in (1, 3):
+        status, crossing = cross_paths(sweeps, manifest, method="full", limits=Limits(), threads=threads)
+        maps = maps_of(status, crossing, shape=(scene.camera.rows, scene.camera.columns), method="full")
+        surfaces.append(surface_of(maps, crossing, manifest, method="full", threads=threads).maps)
+    one, other = surfaces
+    assert one.valid().any()
+    for field in fields(Maps):
+        np.testing.assert_array_equal(getattr(one, field.name), getattr(other, field.name))
 
 
 def test_pixels_with_parallel_paths_are_marked_as_carried_by_their_neighbours(
