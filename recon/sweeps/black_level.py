@@ -49,6 +49,15 @@ def noise_floor(black: Counts, variance: float) -> Counts:
     return lit_floor(black, max(STRIPE_SIGMA * np.sqrt(variance), LEAST_PEAK_COUNTS))
 
 
+def reach_floor(black: Counts, variance: float) -> Counts:
+    """Return the counts [rows, cols] above which a few photos tell how far curves reach; ``variance`` is that of a dark sample.
+
+    The widest curves are the faintest, so that black's own noise is left out: a few peaks of noise do less harm than to miss
+    them.
+    """
+    return lit_floor(black, max(PEAK_SIGMA * np.sqrt(variance), LEAST_PEAK_COUNTS))
+
+
 def lit_floor(black: Counts, rise: float) -> Counts:
     """Return the counts [rows, cols] that a lit sample exceeds: ``rise`` above black, within the range of the samples."""
     top = np.iinfo(black.dtype).max

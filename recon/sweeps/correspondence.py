@@ -15,7 +15,7 @@ from recon.sessions.manifest import Axis, CaptureSet, StripePattern
 from recon.sessions.photos import saturation_count
 from recon.sessions.session import Session
 from recon.status import PixelStatus
-from recon.sweeps.black_level import black_level, noise_floor
+from recon.sweeps.black_level import black_level, noise_floor, reach_floor
 from recon.sweeps.curve_reach import curve_half_width
 from recon.sweeps.half_seen import half_seen_of
 from recon.sweeps.noise import NoiseModel
@@ -80,8 +80,7 @@ def decode_sweep(
             lambda number: read_session_photo(session, capture_set.name, axis, number),
             session.photo_numbers(capture_set, axis),
             black=black,
-            # The widest curves are the faintest: a few peaks of noise among them do less harm than to miss them.
-            floor=noise_floor(black, dark),
+            floor=reach_floor(black, dark),
             least=half_width,
         )
     # Two paths are for the fit to tell apart.
