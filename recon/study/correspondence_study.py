@@ -10,6 +10,7 @@ from recon.sessions.pattern import StripePattern
 from recon.study.experiment import Findings, StudySize, Tell
 from recon.study.stripe_bound import SampleNoise, blurred_profile, place_bound_px
 from recon.study.study_result import Cell, Curve, StudyFigure, StudyTable
+from recon.sweeps.black_level import noise_floor, reach_floor
 from recon.sweeps.correspondence import window_half_width
 from recon.sweeps.curve_reach import curve_half_width
 from recon.sweeps.noise import dark_variance
@@ -85,11 +86,14 @@ def decoded(
     seed = int(rng.integers(1 << 31))
     black = np.rint(BLACK_COUNTS + PEAK_COUNTS * rng.normal(0.0, np.sqrt(noise.read), centre.shape)).astype(np.uint16)
     dark = dark_variance(photo(0), photo(pattern.count - 1))
-    floor = (black + 6 * np.sqrt(dark)).astype(np.uint16)
     half_width = curve_half_width(
-        photo, range(pattern.count), black=black, floor=floor, least=window_half_width(pattern, "full")
+        photo,
+        range(pattern.count),
+        black=black,
+        floor=reach_floor(black, dark),
+        least=window_half_width(pattern, "full"),
     )
-    tracker = PeakTracker(floor, half_width=half_width)
+    tracker = PeakTracker(noise_floor(black, 2 * dark), half_width=half_width)
     for index in range(pattern.count):
         tracker.feed(photo(index))
     places = places_by_likelihood(

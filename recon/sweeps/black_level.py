@@ -6,7 +6,7 @@ from recon.sessions.manifest import Axis, CaptureSet
 from recon.sessions.photos import Counts
 from recon.sessions.session import Session
 from recon.sweeps.noise import dark_variance
-from recon.sweeps.photo_stream import read_session_photo
+from recon.sweeps.photo_stream import black_photo, has_black, read_session_photo
 
 # A peak is one that noise alone would show in one dark sample of a thousand million.
 PEAK_SIGMA = 6.0
@@ -25,14 +25,14 @@ def black_level(session: Session, capture_set: CaptureSet, axis: Axis) -> tuple[
     """
     numbers = session.photo_numbers(capture_set, axis)
 
-    def photo(sweep: str, index: int) -> np.ndarray:
-        return read_session_photo(session, capture_set.name, sweep, index)
+    def photo(index: int) -> np.ndarray:
+        return read_session_photo(session, capture_set.name, axis, index)
 
-    first, last = photo(axis, numbers[0]), photo(axis, numbers[-1])
+    first, last = photo(numbers[0]), photo(numbers[-1])
     variance = dark_variance(first, last)
-    if (capture_set.name, "black", 0) in session.photos:
-        return photo("black", 0), variance, variance
-    between = (photo(axis, numbers[round(share * (len(numbers) - 1))]) for share in (0.25, 0.5, 0.75))
+    if has_black(session, capture_set):
+        return black_photo(session, capture_set), variance, variance
+    between = (photo(numbers[round(share * (len(numbers) - 1))]) for share in (0.25, 0.5, 0.75))
     return median_of_five(first, last, *between), variance, MEDIAN_OF_FIVE * variance
 
 
