@@ -107,6 +107,9 @@ def test_a_cable_that_is_pulled_out_ends_a_wait_at_once(operator_reads: Operator
 
 def test_what_came_before_the_question_does_not_answer_it(server: WireServer) -> None:
     with open_port(server) as port:
+        # A call waits in line until it is answered; what a device says to nobody is lost.
+        port.write(b"hello\n")
+        line(port)
         server.emulator.unasked = b"[stale]\nhalf a li"
         assert line(port) == b"[stale]\n"
         threading.Timer(0.05, setattr, (server.emulator, "unasked", b"ne\n")).start()
