@@ -1,7 +1,8 @@
 """Is a session sound? Every fault by file and reason (``recon validate``), or the first as an error (``recon run``)."""
 
 import hashlib
-from collections.abc import Iterator
+from collections import Counter
+from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -78,6 +79,7 @@ def faults(session: Session) -> Iterator[Fault]:
     yield from _wrong_places(session)
     camera = session.manifest.camera
     seen: dict[str, str] = {}
+    bits: dict[str, int] = {}
     for record in session.photos.values():
         path = session.folder / record.file
         if not path.is_file():
@@ -97,7 +99,14 @@ def faults(session: Session) -> Iterator[Fault]:
                 record.file, f"the same bytes as {seen[digest]}; the camera returned an old photo", is_warning=True
             )
         seen[digest] = record.file
-        yield from _picture_faults(record.file, data, rows=camera.rows, cols=camera.columns)
+        try:
+            height, width, bits[record.file] = _size_and_depth(record.file, data)
+        except SessionError as error:
+            yield Fault(record.file, str(error))
+            continue
+        if (height, width) != (camera.rows, camera.columns):
+            yield Fault(record.file, f"is {width} x {height} px, the manifest says {camera.columns} x {camera.rows}")
+    yield from _wrong_depths(session, bits)
     if session.manifest.mask is not None:
         try:
             read_grey(session.folder / session.manifest.mask, rows=camera.rows, cols=camera.columns)
@@ -125,29 +134,50 @@ def _wrong_places(session: Session) -> Iterator[Fault]:
             )
 
 
-def _picture_faults(name: str, data: bytes, *, rows: int, cols: int) -> Iterator[Fault]:
+def _wrong_depths(session: Session, bits: Mapping[str, int]) -> Iterator[Fault]:
+    """Yield a fault where photos of a sweep, or of its dark display, have other bits a sample than most beside them."""
+    for capture_set in session.manifest.sets:
+        sweeps = [
+            [(capture_set.name, axis, number) for number in session.photo_numbers(capture_set, axis)]
+            for axis in ("x", "y")
+        ]
+        black = (capture_set.name, "black", 0)
+        # One black photo serves both sweeps; without it each stands alone.
+        for keys in [[black, *sweeps[0], *sweeps[1]]] if black in session.photos else sweeps:
+            records = (session.photos.get(key) for key in keys)
+            depths = {record.file: bits[record.file] for record in records if record and record.file in bits}
+            usual = Counter(depths.values()).most_common(1)[0][0] if depths else 0
+            odd = [file for file, depth in depths.items() if depth != usual]
+            if odd:
+                others = f" (and {len(odd) - 1} more)" if len(odd) > 1 else ""
+                yield Fault(
+                    f"{odd[0]}{others}",
+                    f"{depths[odd[0]]} bits a sample, but most photos of the set have {usual}; convert it to the same depth, "
+                    "or take it again",
+                )
+
+
+def _size_and_depth(name: str, data: bytes) -> tuple[int, int, int]:
+    """Return a photo's height, width and bits a sample, or raise ``SessionError`` with the reason why it has none."""
     if not data:
-        yield Fault(name, "is empty; take it again")
-        return
+        raise SessionError("is empty; take it again")
     if is_raw(Path(name)):
         try:
-            height, width = decode_raw(data, Path(name), primary="white").shape
+            raw = decode_raw(data, Path(name), primary="white")
         except SessionError as error:
-            yield Fault(name, str(error).split(": ", 1)[-1])
-            return
-    elif data[:2] == b"\xff\xd8":
+            raise SessionError(str(error).split(": ", 1)[-1]) from None
+        return *raw.shape, 8 * raw.itemsize
+    if data[:2] == b"\xff\xd8":
         try:
             height, width, _, _ = simplejpeg.decode_jpeg_header(data)
         except ValueError as error:
-            yield Fault(name, f"not a JPEG that can be read ({error})")
-            return
+            raise SessionError(f"not a JPEG that can be read ({error})") from None
         if END_OF_IMAGE not in data[-TAIL_BYTES:]:
-            yield Fault(name, "truncated: the JPEG has no end; take it again")
-    else:
-        picture = cv2.imdecode(np.frombuffer(data, np.uint8), cv2.IMREAD_UNCHANGED)
-        if picture is None:
-            yield Fault(name, "not a photo that can be decoded (JPEG, PNG, TIFF and raw files can)")
-            return
-        height, width = picture.shape[:2]
-    if (height, width) != (rows, cols):
-        yield Fault(name, f"is {width} x {height} px, the manifest says {cols} x {rows}")
+            raise SessionError("truncated: the JPEG has no end; take it again")
+        return height, width, 8
+    picture = cv2.imdecode(np.frombuffer(data, np.uint8), cv2.IMREAD_UNCHANGED)
+    if picture is None:
+        raise SessionError("not a photo that can be decoded (JPEG, PNG, TIFF and raw files can)")
+    if picture.dtype not in (np.uint8, np.uint16):
+        raise SessionError(f"samples of type {picture.dtype}; 8 or 16 bits a sample are expected")
+    return *picture.shape[:2], 8 * picture.itemsize

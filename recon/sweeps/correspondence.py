@@ -7,7 +7,6 @@ from typing import TYPE_CHECKING
 import numpy as np
 from jaxtyping import Bool, Float, Float32, UInt8
 
-from recon.errors import SessionError
 from recon.memory import give_back_free_memory
 from recon.method import Method
 from recon.metrics import PhotoQuality, SampleCurve
@@ -19,7 +18,7 @@ from recon.sweeps.black_level import black_level, noise_floor, reach_floor
 from recon.sweeps.curve_reach import curve_half_width
 from recon.sweeps.half_seen import half_seen_of
 from recon.sweeps.noise import NoiseModel
-from recon.sweeps.photo_stream import photo_quality, read_session_photo
+from recon.sweeps.photo_stream import check_depth, photo_quality, read_session_photo
 from recon.sweeps.sample_curves import sample_curves
 from recon.sweeps.stripe_peak import NO_PEAK, PeakWindows, parabola_offset
 
@@ -123,11 +122,7 @@ def _stream(
     quality, clipped = [], saturation_count(black)
     for index in session.photo_numbers(capture_set, axis):
         counts = read_session_photo(session, capture_set.name, axis, index, buffer=free)
-        if counts.dtype != black.dtype:
-            raise SessionError(
-                f"{session.photo_file(capture_set.name, axis, index)}: {8 * counts.itemsize} bits a sample, but other photos of "
-                f"the set have {8 * black.itemsize}; convert them to the same depth, or take them again"
-            )
+        check_depth(session, capture_set, axis, index, counts, like=black)
         free = tracker.feed(counts)
         brightest = tracker.brightest()
         quality.append(photo_quality(counts, capture_set, axis, index, brightest=brightest, clipped=clipped))

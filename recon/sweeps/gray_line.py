@@ -59,16 +59,18 @@ def decode_gray_line(
     first = session.photo_numbers(capture_set, axis).start
     quality: list[PhotoQuality] = []
 
-    def photos(start: int, stop: int) -> Iterator[Counts]:
+    def photos(start: int, stop: int, *, like: np.ndarray | None) -> Iterator[Counts]:
         numbers = range(first + start, first + stop)
-        return photo_stream(session, capture_set, axis, numbers, quality=quality, on_photo=on_photo)
+        return photo_stream(session, capture_set, axis, numbers, like=like, quality=quality, on_photo=on_photo)
 
     camera = session.manifest.camera
-    lines = line_samples(photos(0, pattern.steps), pattern)
+    black = black_photo(session, capture_set) if has_black(session, capture_set) else None
+    lines = line_samples(photos(0, pattern.steps, like=black), pattern)
     shape = (camera.rows, camera.columns)
     dark, variance = _dark_of_lines(lines, shape)
-    black = black_photo(session, capture_set) if has_black(session, capture_set) else dark
-    bars = read_bars(photos(pattern.steps, pattern.count), pattern, pixels=black.size, dark_variance=variance)
+    black = dark if black is None else black
+    code = photos(pattern.steps, pattern.count, like=black)
+    bars = read_bars(code, pattern, pixels=black.size, dark_variance=variance)
     windows, doubtful = line_windows(lines, bars, pattern, black=black.ravel(), dark_variance=variance)
     del lines
     sweep, strip = pattern.as_sweep(), tuple(quality)

@@ -99,14 +99,14 @@ def decode_phase_shift(
     tracker, samples = PhaseTracker(pixels, pattern), np.empty((pattern.count, len(some)))
     clipped = np.zeros(pixels, dtype=bool)
     numbers = session.photo_numbers(capture_set, axis)
-    photos = photo_stream(session, capture_set, axis, numbers, quality=quality, on_photo=on_photo)
+    black = black_photo(session, capture_set) if has_black(session, capture_set) else None
+    photos = photo_stream(session, capture_set, axis, numbers, like=black, quality=quality, on_photo=on_photo)
     for number, counts in enumerate(photos):
         clipped |= counts.ravel() >= saturation_count(counts)
         values = response_undone(counts, response)
         samples[number] = values[some]
         tracker.feed(values)
     phases = tracker.finish()
-    black = black_photo(session, capture_set) if has_black(session, capture_set) else None
     level = np.zeros(pixels) if black is None else response_undone(black, response)
     noise = _noise(phases, samples, some, pattern, black=level)
     sd_turns, misfit = _phase_sd(phases, pattern, noise=noise, black=level)

@@ -4,6 +4,7 @@ from collections.abc import Callable, Iterable, Iterator
 
 import numpy as np
 
+from recon.errors import SessionError
 from recon.metrics import PhotoQuality
 from recon.sessions.manifest import Axis, CaptureSet
 from recon.sessions.photos import Counts, read_grey, saturation_count
@@ -30,15 +31,18 @@ def photo_stream(
     axis: Axis,
     numbers: Iterable[int],
     *,
+    like: np.ndarray | None,
     quality: list[PhotoQuality],
     on_photo: Callable[[], None],
 ) -> Iterator[Counts]:
     """Yield the photos with these numbers [rows, cols]; their quality is added to ``quality``.
 
-    A photo may be kept or changed by whoever takes it.
+    All must be as deep as ``like``, or as the first of them. A photo may be kept or changed by whoever takes it.
     """
     for index in numbers:
         counts = read_session_photo(session, capture_set.name, axis, index)
+        like = counts if like is None else like
+        check_depth(session, capture_set, axis, index, counts, like=like)
         quality.append(
             photo_quality(
                 counts, capture_set, axis, index, brightest=int(counts.max()), clipped=saturation_count(counts)
@@ -46,6 +50,24 @@ def photo_stream(
         )
         yield counts
         on_photo()
+
+
+def check_depth(
+    session: Session, capture_set: CaptureSet, axis: Axis, index: int, counts: Counts, *, like: np.ndarray
+) -> None:
+    """Refuse a photo of a sweep that has another depth than ``like``, the set's photo of the dark display where it has one."""
+    if counts.dtype == like.dtype:
+        return
+    name = capture_set.name
+    others = (
+        f"{session.photo_file(name, 'black')} has"
+        if has_black(session, capture_set)
+        else "other photos of the set have"
+    )
+    raise SessionError(
+        f"{session.photo_file(name, axis, index)}: {8 * counts.itemsize} bits a sample, but {others} {8 * like.itemsize}; "
+        "convert them to the same depth, or take them again"
+    )
 
 
 def photo_quality(

@@ -32,7 +32,7 @@ def manifest() -> dict[str, Any]:
     }
 
 
-def write_session(folder: Path, *, fields: dict[str, Any] | None = None) -> Path:
+def write_session(folder: Path, *, fields: dict[str, Any] | None = None, photos: int = PLACES) -> Path:
     folder.mkdir(parents=True, exist_ok=True)
     data = fields or manifest()
     (folder / "manifest.json").write_text(json.dumps(data))
@@ -41,7 +41,7 @@ def write_session(folder: Path, *, fields: dict[str, Any] | None = None) -> Path
     for one in data["sets"]:
         name = f"pos{one['position']}_{one['condition']}"
         for axis in ("x", "y"):
-            for index in range(PLACES):
+            for index in range(photos):
                 counts = rng.integers(0, 5, (ROWS, COLS, 1), dtype=np.uint8)
                 counts[:, (3 * index) % COLS] = 200
                 file = f"photos/{name}/{axis}/{index:04d}.jpg"
