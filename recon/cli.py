@@ -9,9 +9,9 @@ from rich.console import Console
 
 from recon.batch import command as batch_command
 from recon.bench.command import register as register_bench
+from recon.command_group import CommandGroup, Interrupted
 from recon.errors import ReconError, sentence
 from recon.evaluation import command as evaluation_command
-from recon.interruption import Interrupted, InterruptibleCommands
 from recon.metrics import Metrics, StageTime
 from recon.progress import progress_bar
 from recon.running.options import (
@@ -33,7 +33,7 @@ from recon.study.command import register as register_study
 from recon.view import register as register_view
 
 app = typer.Typer(
-    cls=InterruptibleCommands,
+    cls=CommandGroup,
     help="Turn saved sessions of a transparent object into points, normals and a mesh.",
     no_args_is_help=True,
     pretty_exceptions_enable=False,

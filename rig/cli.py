@@ -10,8 +10,8 @@ import typer
 from rich.console import Console
 
 from drivers.errors import DeviceError
+from recon.command_group import CommandGroup, Interrupted
 from recon.errors import ReconError
-from recon.interruption import Interrupted, InterruptibleCommands
 from recon.sessions.session import open_session
 from rig import options
 from rig.by_hand.camera_cli import app as camera_app
@@ -39,7 +39,7 @@ from sim_backend.scene import load_scene, scene_names
 
 app = typer.Typer(
     name="rig",
-    cls=InterruptibleCommands,
+    cls=CommandGroup,
     help="Photograph a transparent object: four sweeps of a stripe, two display places, dry and wet.",
     no_args_is_help=True,
     add_completion=False,

@@ -13,6 +13,7 @@ from typing import Annotated, Literal, Self
 
 from pydantic import Field, ValidationError, model_validator
 
+from recon.bad_value import reason_of
 from recon.patterns.coarse_scan import scan_bits
 from recon.patterns.frame_tag import TagPlace
 from recon.sessions.manifest import (
@@ -46,6 +47,8 @@ from rig.planning.coded_pattern import coded_pattern
 
 NotNegative = Annotated[float, Field(ge=0, allow_inf_nan=False)]
 DEFAULT_FILE = Path("rig.toml")
+# A sweep of the paper has 3,000; a hundred times as many take a week, and are a slip of the pen.
+MOST_PLACES = 300_000
 # A pump may run this much longer than its calibrated rate says before its own time limit ends the flow.
 PUMP_TIME_MARGIN = 1.2
 
@@ -299,7 +302,7 @@ class RigConfig(Part):
         try:
             return coded_pattern(self.stripe_pattern(axis), self.capture.code)
         except ValidationError as error:
-            reason = error.errors()[0]["msg"].removeprefix("Value error, ")
+            reason = reason_of(error.errors()[0])
             raise ValueError(
                 f"the code of section [capture.code] does not go with [capture.stripe]: {reason}"
             ) from None
@@ -314,10 +317,11 @@ class RigConfig(Part):
             raise ValueError(f"last_{noun}_px is {last_px:g}, the display's last {noun} is {self.device_px(axis) - 1}")
         # A step of 0.1 does not add up exactly; a thousandth of a step keeps the last place.
         count = math.floor((last_px - first_px) / stripe.step_px + 1e-3) + 1
-        if count < 3:
+        if not 3 <= count <= MOST_PLACES:
+            limit = "needs at least 3" if count < 3 else f"may have {MOST_PLACES} at most"
             raise ValueError(
                 f"the stripe takes {max(count, 0)} places from first_{noun}_px {first_px:g} to last_{noun}_px "
-                f"{last_px:g} with step_px {stripe.step_px:g}; a sweep needs at least 3"
+                f"{last_px:g} with step_px {stripe.step_px:g}; a sweep {limit}"
             )
         return StripePattern(
             profile=stripe.profile, width_px=stripe.width_px, first_px=first_px, step_px=stripe.step_px, count=count
@@ -362,14 +366,7 @@ def first_fault(error: ValidationError, *, source: str, text: str = "") -> str:
     fault = error.errors()[0]
     keys = [str(part) for part in fault["loc"]]
     line = line_of(text, keys)
-    reason = fault["msg"].removeprefix("Value error, ")
-    if fault["type"] == "extra_forbidden":
-        reason = "no such value; check the spelling"
-    elif fault["type"] == "missing":
-        reason = "this value is missing"
-    elif not isinstance(fault["input"], dict):
-        reason += f", found {fault['input']!r}"
-    parts = [f"{source}, line {line}" if line else source, ".".join(keys), reason]
+    parts = [f"{source}, line {line}" if line else source, ".".join(keys), reason_of(fault)]
     return ": ".join(part for part in parts if part)
 
 

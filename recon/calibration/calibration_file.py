@@ -12,6 +12,7 @@ import numpy as np
 from jaxtyping import Float64
 from pydantic import Field, ValidationError, model_validator
 
+from recon.bad_value import first_fault
 from recon.calibration.bundle import BundleResult
 from recon.calibration.display_poses import AIR_PANELS, manifest_pose
 from recon.calibration.errors import CalibrationError
@@ -172,9 +173,7 @@ def parse_calibration(text: str, *, source: str) -> Calibration:
     try:
         return Calibration.model_validate(data)
     except ValidationError as error:
-        first = error.errors()[0]
-        where = ".".join(str(part) for part in first["loc"]) or "calibration"
-        raise CalibrationError(f"{source}: {where}: {first['msg'].removeprefix('Value error, ')}") from None
+        raise CalibrationError(f"{source}: {first_fault(error, whole='calibration')}") from None
 
 
 def read_calibration(path: Path) -> Calibration:

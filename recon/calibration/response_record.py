@@ -10,6 +10,7 @@ from typing import Annotated, Literal
 import numpy as np
 from pydantic import Field, ValidationError
 
+from recon.bad_value import first_fault
 from recon.calibration.brightness_drift import BrightnessDrift
 from recon.calibration.calibration_file import UsedPhoto
 from recon.calibration.errors import CalibrationError
@@ -201,9 +202,7 @@ def read_response(path: Path) -> ResponseRecord:
     try:
         return ResponseRecord.model_validate(data)
     except ValidationError as error:
-        first = error.errors()[0]
-        where = ".".join(str(part) for part in first["loc"])
-        raise CalibrationError(f"{path}: {where}: {first['msg']}; measure again") from None
+        raise CalibrationError(f"{path}: {first_fault(error, whole='response')}; measure again") from None
 
 
 def write_response(path: Path, response: ResponseRecord, *, disk: Disk | None = None) -> None:

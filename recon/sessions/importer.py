@@ -16,6 +16,7 @@ from typing import Annotated, Any
 
 from pydantic import BaseModel, ConfigDict, Field, ValidationError
 
+from recon.bad_value import first_fault
 from recon.errors import SessionError
 from recon.patterns.pattern_frames import place_of_photo
 from recon.sessions.journal import now_text
@@ -62,9 +63,7 @@ def read_layout(path: Path) -> Layout:
         names = PhotoNames.model_validate(data.pop("photos", {}))
         return Layout(Manifest.model_validate(_manifest_fields(data, path)), names)
     except ValidationError as error:
-        first = error.errors()[0]
-        where = ".".join(str(part) for part in first["loc"]) or "layout"
-        raise SessionError(f"{path}: {where}: {first['msg'].removeprefix('Value error, ')}") from None
+        raise SessionError(f"{path}: {first_fault(error, whole='layout')}") from None
 
 
 def _manifest_fields(data: dict[str, Any], path: Path) -> dict[str, Any]:

@@ -17,6 +17,7 @@ from typing import Annotated, Any, Literal
 
 from pydantic import BaseModel, ConfigDict, Field, ValidationError
 
+from recon.bad_value import first_fault
 from recon.errors import SessionError
 from recon.sessions.disk import Disk, write_fault
 
@@ -216,6 +217,4 @@ def _records(path: Path) -> Iterator[PhotoRecord | SweepRange | SweepRejected]:
         try:
             yield record.model_validate({k: v for k, v in entry.items() if k != "event"})
         except ValidationError as error:
-            first = error.errors()[0]
-            where = ".".join(str(part) for part in first["loc"])
-            raise SessionError(f"{path}, entry {number}: {where}: {first['msg']}") from None
+            raise SessionError(f"{path}, entry {number}: {first_fault(error, whole='entry')}") from None

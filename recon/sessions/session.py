@@ -25,6 +25,7 @@ from typing import Any
 
 from pydantic import ValidationError
 
+from recon.bad_value import first_fault
 from recon.errors import SessionError
 from recon.patterns.swept_range import narrowed
 from recon.sessions.disk import PART_SUFFIX, Disk, make_folders, write_fault, write_whole
@@ -67,9 +68,7 @@ def parse_manifest(text: str, *, source: str) -> Manifest:
     try:
         manifest = Manifest.model_validate(data)
     except ValidationError as error:
-        first = error.errors()[0]
-        where = ".".join(str(part) for part in first["loc"]) or "manifest"
-        raise SessionError(f"{source}: {where}: {first['msg'].removeprefix('Value error, ')}") from None
+        raise SessionError(f"{source}: {first_fault(error, whole='manifest')}") from None
     if manifest.mask is not None:
         check_inside(manifest.mask, what=f"{source}: mask")
     return manifest

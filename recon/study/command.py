@@ -10,6 +10,7 @@ from pydantic import ValidationError
 from rich.console import Console
 from rich.table import Table
 
+from recon.bad_value import first_fault
 from recon.errors import ReconError
 from recon.study.experiment import Experiment, StudySize, named
 from recon.study.study_result import StudyResult, StudyTable, cell_text, markdown
@@ -70,7 +71,9 @@ def write_page(out: Path, experiments: Sequence[Experiment]) -> Path:
             try:
                 results.append(StudyResult.model_validate_json(file.read_text(encoding="utf-8")))
             except ValidationError as error:
-                raise ReconError(f"{file}: not the result of a study ({error.errors()[0]['msg']}); delete it") from None
+                raise ReconError(
+                    f"{file}: not the result of a study ({first_fault(error, whole='file')}); delete it"
+                ) from None
     (out / PAGE_NAME).write_text(page_of(results), encoding="utf-8")
     (out / MARKDOWN_NAME).write_text("\n".join(markdown(result) for result in results), encoding="utf-8")
     return out / PAGE_NAME

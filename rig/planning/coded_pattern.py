@@ -2,6 +2,7 @@
 
 from pydantic import ValidationError
 
+from recon.bad_value import reason_of
 from recon.patterns.phase_shift import periods_for
 from recon.sessions.pattern import GrayLinePattern, Pattern, PhaseShiftPattern, StripePattern
 from rig.capture_sections import GrayLineCode, PhaseShiftCode
@@ -18,7 +19,7 @@ def coded_pattern(sweep: StripePattern, code: GrayLineCode | PhaseShiftCode | No
         if isinstance(code, PhaseShiftCode):
             return _fringes(sweep, code)
     except ValidationError as error:
-        reason = error.errors()[0]["msg"].removeprefix("Value error, ")
+        reason = reason_of(error.errors()[0])
         raise ValueError(f"[capture.code] does not go with [capture.stripe] and [capture.swept]: {reason}") from None
     return sweep
 

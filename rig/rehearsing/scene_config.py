@@ -8,7 +8,9 @@ from typing import Literal
 
 import cv2
 import numpy as np
+from pydantic import ValidationError
 
+from recon.bad_value import first_fault
 from recon.sessions.manifest import (
     CameraBody,
     CoverGlass,
@@ -76,6 +78,8 @@ def open_scene(name_or_path: str, options: SceneOptions) -> Scene:
             camera_columns=options.camera_columns, display_columns=options.display_columns
         )
     except (SceneError, OSError) as error:
+        if isinstance(error.__cause__, ValidationError):
+            raise ConfigError(f"scene {name_or_path!r}: {first_fault(error.__cause__, whole='as a whole')}") from None
         raise ConfigError(str(error)) from None
     except UnicodeDecodeError:
         raise ConfigError(

@@ -114,7 +114,11 @@ WRONG = [
     (("capture", "--session", "s", "--sim", "--config", "rig.toml"), "leave out one of them"),
     (("capture", "--session", "s", "--sim", "--scene", "nowhere"), "no scene 'nowhere': choose one of bottle"),
     (("capture", "--session", "s", "--sim", "--step-px", "500"), "a sweep needs at least 3"),
-    (("capture", "--session", "s", "--sim", "--width-px", "-3"), "capture.stripe.width_px: Input should be greater"),
+    (("capture", "--session", "s", "--sim", "--step-px", "0.00001"), "a sweep may have 300000 at most"),
+    (
+        ("capture", "--session", "s", "--sim", "--width-px", "-3"),
+        "capture.stripe.width_px: must be greater than 0, found -3.0",
+    ),
     (("capture", "--session", "s", "--sim", "--resume"), "s: no such folder"),
     (("capture", "--session", "s", "--sim", "--resume", "--step-px", "2"), "leave out the other options"),
     (("capture", "--session", "full", "--sim"), "full: not empty; choose a new folder"),
@@ -238,3 +242,25 @@ def test_each_command_explains_itself(rig: Run, command: str) -> None:
     code, out, _ = rig(command, "--help")
     assert code == 0
     assert "Usage: rig " + command in out
+
+
+@pytest.mark.parametrize(
+    ("arguments", "said"),
+    [
+        (("plan", "--sim", "--profile", "round"), "'--profile': 'round' is not one of 'hard', 'raised_cosine'."),
+        (("plan", "--sim", "--step-px", "x"), "'--step-px': must be a number, found 'x'."),
+        (("plan", "--sim", "--size", "0"), "'--size': must be 1 or more, found '0'."),
+        (("stage", "move", "far", "--sim"), "'MM': must be a number, found 'far'."),
+    ],
+)
+def test_a_wrong_value_of_an_option_is_refused_in_plain_words(rig: Run, arguments: tuple[str, ...], said: str) -> None:
+    code, out, err = rig(*arguments)
+    assert (code, out) == (2, "")
+    assert err.splitlines()[-1] == f"Error: Invalid value for {said}"
+
+
+def test_a_wrong_value_of_a_scene_is_refused_in_plain_words(rig: Run, tmp_path: Path) -> None:
+    text = (resources.files("sim_backend") / "scenes/hemisphere.toml").read_text("utf-8")
+    (tmp_path / "mine.toml").write_text(text.replace("n_object = 1.5195", "n_object = 0.5"))
+    code, _, err = rig("simulate", "mine.toml", "s")
+    assert (code, err) == (1, "rig: scene 'mine.toml': n_object: must be 1 or more, found 0.5\n")

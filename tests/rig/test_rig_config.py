@@ -54,15 +54,20 @@ def test_the_template_names_every_value_there_is() -> None:
 @pytest.mark.parametrize(
     ("old", "new", "line_holds", "said"),
     [
-        ("pitch_mm = 0.0962", "pitch_mm = -1", "pitch_mm", "display.pitch_mm: Input should be greater than 0"),
-        ("pitch_mm = 0.0962", "pich_mm = 0.0962", "[display]", "display.pitch_mm: this value is missing"),
-        ('note = ""', 'colour = ""', "colour", "object.colour: no such value; check the spelling"),
+        ("pitch_mm = 0.0962", "pitch_mm = -1", "pitch_mm", "display.pitch_mm: must be greater than 0, found -1"),
+        ("pitch_mm = 0.0962", "pich_mm = 0.0962", "[display]", "display.pitch_mm: is missing"),
+        ('note = ""', 'colour = ""', "colour", "object.colour: there is no such value; check the spelling"),
         ("fill_ml = 4500.0", "fill_ml = 6500.0", "[tank]", "tank: fill_ml is 6500, the tank's free_volume_ml is 6000"),
         ("reservoir_ml = 5000.0", "reservoir_ml = 9000.0", "[tank]", "would flood the room"),
         ("reservoir_ml = 5000.0", "reservoir_ml = 4000.0", "[tank]", "less than fill_ml of 4500"),
         ("position_1_mm = 60.0", "position_1_mm = 160.0", "[stage]", "position_1_mm is 160, travel_mm is 0 to 100"),
         ("position_1_mm = 60.0", "position_1_mm = 20.0", "[stage]", "they must differ"),
-        ('profile = "raised_cosine"', 'profile = "round"', "profile", "Input should be 'hard' or 'raised_cosine'"),
+        (
+            'profile = "raised_cosine"',
+            'profile = "round"',
+            "profile",
+            "must be 'hard' or 'raised_cosine', found 'round'",
+        ),
         ("width_px = 12.0", "width_px = nan", "width_px", "capture.stripe.width_px"),
         ('order = "one_fill"', 'order = "two"', 'order = "two"', "capture.order"),
         (
