@@ -4,7 +4,7 @@ from itertools import product
 
 import cv2
 import numpy as np
-from jaxtyping import Bool, Float, Float32
+from jaxtyping import Bool, Float, Float32, Float64
 
 from recon.compiled import compiled
 
@@ -12,6 +12,8 @@ WINDOW_PX = 5
 # Where a small window spans less than this many quanta of the places it sees their steps; a larger one is taken.
 LARGE_WINDOW_PX = 15
 FEWEST_QUANTA = 2.5
+# Pixels whose places are more than so many times the usual distance from their neighbours' median are left out.
+LARGEST_SPREADS = 6
 # A slope needs a few neighbours, and not all of them in one line.
 FEWEST_NEIGHBOURS = 6
 LEAST_DETERMINANT = 1e-6
@@ -44,29 +46,73 @@ def coordinate_gradient(
     return gradient
 
 
-def _tile_gradient(place_px: np.ndarray, valid: np.ndarray, *, quantum_px: float) -> tuple[np.ndarray, np.ndarray]:
-    filled = np.where(valid, place_px, 0.0).astype(np.float64)
-    median = cv2.medianBlur(filled.astype(np.float32), WINDOW_PX)
-    off = np.abs(filled - median)
-    spread = cv2.medianBlur(off.astype(np.float32), WINDOW_PX)
-    keep = valid & (off <= 6 * spread + 2 * quantum_px)
-    value = np.where(keep, filled, 0.0)
-    by_col, by_row = _plane_slopes(value, keep, window_px=LARGE_WINDOW_PX)
-    stepped = (np.abs(by_col) + np.abs(by_row)) * WINDOW_PX < FEWEST_QUANTA * quantum_px
-    if not stepped.all():
-        small_by_col, small_by_row = _plane_slopes(value, keep, window_px=WINDOW_PX)
-        by_col, by_row = np.where(stepped, by_col, small_by_col), np.where(stepped, by_row, small_by_row)
-    return by_col, by_row
+def _tile_gradient(
+    place_px: np.ndarray, valid: np.ndarray, *, quantum_px: float
+) -> Float64[np.ndarray, "2 rows cols"]:
+    filled = np.where(valid, place_px, place_px.dtype.type(0))
+    median = cv2.medianBlur(filled.astype(np.float32, copy=False), WINDOW_PX)
+    value, off, keep = filled.astype(np.float64), np.empty_like(median), np.empty(valid.shape, dtype=bool)
+    write_distances(value, median, off)
+    spread = cv2.medianBlur(off, WINDOW_PX)
+    keep_near(value, np.ascontiguousarray(valid), median, spread, 2 * quantum_px, keep)
+    slopes = _plane_slopes(value, keep, window_px=LARGE_WINDOW_PX)
+    # Where the larger window has too few pixels, or all in one line, the smaller one has as well.
+    if sees_steps_enough(slopes, FEWEST_QUANTA * quantum_px):
+        small = _plane_slopes(value, keep, window_px=WINDOW_PX)
+        take_smaller(slopes, small, FEWEST_QUANTA * quantum_px)
+    return slopes
 
 
-def _plane_slopes(value: np.ndarray, keep: np.ndarray, *, window_px: int) -> tuple[np.ndarray, np.ndarray]:
+def _plane_slopes(value: np.ndarray, keep: np.ndarray, *, window_px: int) -> Float64[np.ndarray, "2 rows cols"]:
     """Return the slopes of the plane through the kept pixels of each window; NaN where these are too few or in one line.
 
     ``value`` is zero where it is not kept.
     """
     slopes = np.full((2, *value.shape), np.nan)
     write_slopes(value, keep, window_px // 2, slopes)
-    return slopes[0], slopes[1]
+    return slopes
+
+
+@compiled
+def write_distances(value: np.ndarray, median: np.ndarray, off: np.ndarray) -> None:
+    """Write how far the places of a tile [rows, cols] are from their neighbours' median."""
+    rows, cols = value.shape
+    for row in range(np.uintp(rows)):
+        for col in range(np.uintp(cols)):
+            off[row, col] = abs(value[row, col] - median[row, col])
+
+
+@compiled
+def keep_near(
+    value: np.ndarray, valid: np.ndarray, median: np.ndarray, spread: np.ndarray, tolerance: float, keep: np.ndarray
+) -> None:
+    """Write which places of a tile are near their neighbours' median, and set the others to zero."""
+    least, times = np.float32(tolerance), np.float32(LARGEST_SPREADS)
+    rows, cols = value.shape
+    for row in range(np.uintp(rows)):
+        for col in range(np.uintp(cols)):
+            near = abs(value[row, col] - median[row, col]) <= times * spread[row, col] + least
+            keep[row, col] = near & valid[row, col]
+            value[row, col] = value[row, col] if keep[row, col] else 0.0
+
+
+@compiled
+def sees_steps_enough(slopes: np.ndarray, quanta: float) -> bool:
+    """Return whether some small window sees so many quanta of the places."""
+    some = False
+    for row in range(np.uintp(slopes.shape[1])):
+        for col in range(np.uintp(slopes.shape[2])):
+            some |= (abs(slopes[0, row, col]) + abs(slopes[1, row, col])) * WINDOW_PX >= quanta
+    return some
+
+
+@compiled
+def take_smaller(slopes: np.ndarray, small: np.ndarray, quanta: float) -> None:
+    """Take the slopes of the smaller windows that see so many quanta of the places."""
+    for row in range(np.uintp(slopes.shape[1])):
+        for col in range(np.uintp(slopes.shape[2])):
+            if (abs(slopes[0, row, col]) + abs(slopes[1, row, col])) * WINDOW_PX >= quanta:
+                slopes[0, row, col], slopes[1, row, col] = small[0, row, col], small[1, row, col]
 
 
 @compiled

@@ -26,25 +26,26 @@ class PeakTracker:
         if half_width < 1:
             raise ValueError("half_width: at least one neighbour on each side is needed")
         self._half_width = half_width
+        self._shape = floor.shape
+        # The latest photos: each takes the place of the oldest. Before the sweep it is dark.
+        self._ring = np.zeros((2 * half_width + 1, floor.size), dtype=floor.dtype)
         self._first = _Peaks(floor.ravel(), half_width)
         self._second = _FewPeaks(floor.ravel(), half_width) if second else None
-        nothing = np.zeros(floor.size, dtype=floor.dtype)
-        self._ring = [nothing] * (2 * half_width + 1)
-        self._nothing = nothing
         starts = np.arange(0, floor.size, BLOCK_PIXELS)
         self._least = np.minimum.reduceat(floor.ravel(), starts)
         # Of the photos whose test is to come: the brightest of each block.
         self._brightest = [np.zeros_like(self._least)] * half_width
-        # Pages of memory that are not written to are never taken.
-        self._found = np.empty(floor.size, dtype=np.int32)
         self._fed = 0
         self._pushed = 0
-        self._shape = floor.shape
 
-    def feed(self, counts: Counts) -> np.ndarray | None:
-        """Take the next photo, which must stay untouched; return the array that is free to be reused."""
+    def feed(self, counts: Counts) -> Counts:
+        """Take the next photo; return the array that the one after it may be written to, which spares copying it."""
+        place = self._ring[self._pushed % len(self._ring)]
+        if not np.may_share_memory(counts, place):
+            np.copyto(place, counts.ravel(), casting="no")
         self._fed += 1
-        return self._push(counts.ravel())
+        self._push(place)
+        return self._ring[self._pushed % len(self._ring)].reshape(self._shape)
 
     def brightest(self) -> int:
         """Return the brightest count of the photo that was fed last."""
@@ -53,12 +54,12 @@ class PeakTracker:
     def finish(self) -> PeakWindows:
         """Test the photos still in the window and return the result."""
         for _ in range(self._half_width):
-            self._push(self._nothing)
+            place = self._ring[self._pushed % len(self._ring)]
+            place[:] = 0
+            self._push(place)
         return self._first.windows(self._fed, second=None if self._second is None else self._second.peaks(self._fed))
 
-    def _push(self, counts: np.ndarray) -> np.ndarray | None:
-        oldest = self._ring.pop(0)
-        self._ring.append(counts)
+    def _push(self, counts: np.ndarray) -> None:
         self._brightest.append(np.empty_like(self._least))
         write_brightest(counts, self._brightest[-1])
         self._pushed += 1
@@ -66,24 +67,28 @@ class PeakTracker:
         blocks = self._brightest.pop(0)
         if 0 <= index < self._fed:
             self._test(index, np.flatnonzero(blocks > self._least))
-        return None if oldest is self._nothing else oldest.reshape(self._shape)
 
     def _test(self, index: int, blocks: np.ndarray) -> None:
-        before, centre, after = (self._ring[self._half_width + neighbour] for neighbour in (-1, 0, 1))
+        # From the oldest to the latest.
+        places = (self._pushed + np.arange(len(self._ring))) % len(self._ring)
         first, second = self._first, self._second
-        brightest = (first if second is None else second).brightest
-        count = brighter_peaks(blocks, before, centre, after, brightest, self._found)
-        pixels = self._found[:count]
-        height = centre.take(pixels)
-        if second is not None:
-            brighter = height > first.brightest.take(pixels)
-            former = first.index.take(pixels)
-            apart = index - former > self._half_width
-            second.take_over(pixels[brighter & apart & (former != NO_PEAK)], first)
-            lesser = ~brighter & apart
-            second.write(pixels[lesser], height[lesser], index, self._ring)
-            pixels, height = pixels[brighter], height[brighter]
-        first.write(pixels, height, index, self._ring)
+        if second is None:
+            write_peaks(blocks, self._ring, places, index, first.brightest, first.index, first.samples)
+        else:
+            second.count = write_two_peaks(
+                blocks,
+                self._ring,
+                places,
+                index,
+                first.brightest,
+                first.index,
+                first.samples,
+                second.brightest,
+                second.index,
+                second.samples,
+                second.row,
+                second.count,
+            )
 
 
 @compiled
@@ -99,39 +104,106 @@ def write_brightest(photo: np.ndarray, brightest: np.ndarray) -> None:
 
 
 @compiled
-def brighter_peaks(
+def write_peaks(
     blocks: np.ndarray,
-    before: np.ndarray,
-    centre: np.ndarray,
-    after: np.ndarray,
+    ring: np.ndarray,
+    places: np.ndarray,
+    index: int,
     brightest: np.ndarray,
-    found: np.ndarray,
-) -> int:
-    """Write which pixels in some blocks of a photo are brighter than ever, and no darker than before and after; return how many.
+    number: np.ndarray,
+    samples: np.ndarray,
+) -> None:
+    """Let the photo in the middle, whose number is ``index``, be the brightest of those pixels of some blocks that it is.
 
-    Only a local maximum can be the brightest of all: a rising flank is not written again and again.
+    ``ring`` [photos, pixels] holds the photos, the oldest first in the order of ``places``. Brightest count, number of the photo
+    and the counts in all of them are written where a pixel is brighter than ever, and no darker than before and after.
     """
-    count = 0
-    for number in range(len(blocks)):
-        low = blocks[number] * BLOCK_PIXELS
-        block = range(np.uintp(low), np.uintp(min(low + BLOCK_PIXELS, len(centre))))
-        some = False
-        for pixel in block:
-            some |= centre[pixel] > brightest[pixel]
-        if some:
-            for pixel in block:
-                height = centre[pixel]
-                if height > brightest[pixel] and height >= before[pixel] and height >= after[pixel]:
-                    found[count] = pixel
-                    count += 1
-    return count
+    found = np.empty(BLOCK_PIXELS, dtype=np.bool_)
+    for each in range(len(blocks)):
+        low = np.uintp(blocks[each] * BLOCK_PIXELS)
+        size = _find_peaks(low, ring, places, brightest, found)
+        for k in range(size):
+            if found[k]:
+                pixel = low + k
+                brightest[pixel] = ring[places[len(places) // 2], pixel]
+                number[pixel] = index
+                _copy_samples(ring, places, pixel, samples, pixel)
 
 
 @compiled
-def copy_samples(photo: np.ndarray, pixels: np.ndarray, samples: np.ndarray, rows: np.ndarray, column: int) -> None:
-    """Write the counts of some pixels of a photo into their rows of a column of the samples."""
-    for number in range(len(pixels)):
-        samples[np.uintp(rows[number]), np.uintp(column)] = photo[np.uintp(pixels[number])]
+def write_two_peaks(
+    blocks: np.ndarray,
+    ring: np.ndarray,
+    places: np.ndarray,
+    index: int,
+    brightest: np.ndarray,
+    number: np.ndarray,
+    samples: np.ndarray,
+    second_brightest: np.ndarray,
+    second_number: np.ndarray,
+    second_samples: np.ndarray,
+    row_of: np.ndarray,
+    rows: int,
+) -> int:
+    """Do the same for the brightest and for the second peak, which lies beyond the window about the first; return its rows.
+
+    Numbers and samples of second peaks have rows of their own: ``row_of`` [pixels] tells which, from 1 on, and ``rows`` are taken.
+    """
+    found = np.empty(BLOCK_PIXELS, dtype=np.bool_)
+    half_width = len(places) // 2
+    for each in range(len(blocks)):
+        low = np.uintp(blocks[each] * BLOCK_PIXELS)
+        size = _find_peaks(low, ring, places, second_brightest, found)
+        for k in range(size):
+            if not found[k]:
+                continue
+            pixel = low + k
+            height, former = ring[places[half_width], pixel], number[pixel]
+            brighter, apart = height > brightest[pixel], index - former > half_width
+            if apart and (former != NO_PEAK or not brighter):
+                if row_of[pixel] == 0:
+                    rows += 1
+                    row_of[pixel] = rows
+                row = np.uintp(row_of[pixel] - 1)
+                if brighter:
+                    # The peak before this one becomes the second.
+                    second_brightest[pixel], second_number[row] = brightest[pixel], former
+                    for column in range(np.uintp(len(places))):
+                        second_samples[row, column] = samples[pixel, column]
+                else:
+                    second_brightest[pixel], second_number[row] = height, index
+                    _copy_samples(ring, places, pixel, second_samples, row)
+            if brighter:
+                brightest[pixel], number[pixel] = height, index
+                _copy_samples(ring, places, pixel, samples, pixel)
+    return rows
+
+
+@compiled
+def _find_peaks(low: int, ring: np.ndarray, places: np.ndarray, brightest: np.ndarray, found: np.ndarray) -> int:
+    """Write which pixels of a block are brighter than ever, and no darker than before and after; return how many to look at.
+
+    Only a local maximum can be the brightest of all: a rising flank is not written again and again.
+    """
+    middle = len(places) // 2
+    before, centre, after = ring[places[middle - 1]], ring[places[middle]], ring[places[middle + 1]]
+    size = np.uintp(min(BLOCK_PIXELS, len(brightest) - low))
+    some = False
+    for k in range(size):
+        some |= centre[low + k] > brightest[low + k]
+    if not some:
+        return np.uintp(0)
+    for k in range(size):
+        height = centre[low + k]
+        found[k] = (height > brightest[low + k]) & (height >= before[low + k]) & (height >= after[low + k])
+    return size
+
+
+@compiled
+def _copy_samples(ring: np.ndarray, places: np.ndarray, pixel: int, samples: np.ndarray, row: int) -> None:
+    """Write the counts of a pixel in all photos of the ring into a row of the samples."""
+    for column in range(np.uintp(len(places))):
+        samples[row, column] = ring[np.uintp(places[column]), pixel]
 
 
 class _Peaks:
@@ -143,51 +215,25 @@ class _Peaks:
         # Pages of memory that no pixel is written to are never taken.
         self.samples = np.zeros((floor.size, 2 * half_width + 1), dtype=floor.dtype)
 
-    def rows(self, pixels: np.ndarray) -> np.ndarray:
-        """Return in which rows of ``index`` and ``samples`` these pixels are written."""
-        return pixels
-
-    def write(self, pixels: np.ndarray, height: np.ndarray, index: int, ring: list[np.ndarray]) -> None:
-        """Let photo ``index`` be the brightest of these pixels."""
-        rows = self.rows(pixels)
-        self.brightest[pixels] = height
-        self.index[rows] = index
-        for column, photo in enumerate(ring):
-            copy_samples(photo, pixels, self.samples, rows, column)
-
     def windows(self, photo_count: int, *, second: SecondPeaks | None = None) -> PeakWindows:
         """Return what was found in so many photos."""
         return PeakWindows(self.index, self.samples, self.samples.shape[1] // 2, photo_count, second)
 
 
-class _FewPeaks(_Peaks):
+class _FewPeaks:
     """The same where few pixels have any: they get rows as they come, so that noise here and there takes no memory everywhere."""
 
     def __init__(self, floor: np.ndarray, half_width: int) -> None:
-        super().__init__(floor, half_width)
+        self.brightest = floor.copy()
+        # Of each pixel the row, from 1 on; of each row the number and the samples.
+        self.row = np.zeros(floor.size, dtype=np.int32)
         self.index = np.zeros(floor.size, dtype=np.int32)
-        self._row = np.full(floor.size, NO_PEAK, dtype=np.int32)
-        self._count = 0
-
-    def rows(self, pixels: np.ndarray) -> np.ndarray:
-        """Return the rows of these pixels, new ones where they had none."""
-        rows = self._row.take(pixels)
-        new = np.flatnonzero(rows == NO_PEAK)
-        rows[new] = np.arange(self._count, self._count + len(new))
-        self._row[pixels[new]] = rows[new]
-        self._count += len(new)
-        return rows
-
-    def take_over(self, pixels: np.ndarray, other: _Peaks) -> None:
-        """Take what the other one holds of these pixels."""
-        rows = self.rows(pixels)
-        self.brightest[pixels] = other.brightest[pixels]
-        self.index[rows] = other.index[pixels]
-        self.samples[rows] = other.samples[pixels]
+        self.samples = np.zeros((floor.size, 2 * half_width + 1), dtype=floor.dtype)
+        self.count = 0
 
     def peaks(self, photo_count: int) -> SecondPeaks:
         """Return what was found in so many photos."""
-        pixels = np.flatnonzero(self._row != NO_PEAK).astype(np.int32)
-        rows = self._row[pixels]
+        pixels = np.flatnonzero(self.row).astype(np.int32)
+        rows = self.row[pixels] - 1
         index, samples = self.index[rows], self.samples[rows]
         return SecondPeaks(pixels, PeakWindows(index, samples, samples.shape[1] // 2, photo_count))
