@@ -1,12 +1,14 @@
 """The counts that a pixel shows without the stripe, and how far above them a sample is light and no noise."""
 
+from collections.abc import Callable
+
 import numpy as np
 
-from recon.sessions.manifest import Axis, CaptureSet
+from recon.sessions.manifest import CaptureSet
 from recon.sessions.photos import Counts
 from recon.sessions.session import Session
 from recon.sweeps.noise import dark_variance
-from recon.sweeps.photo_stream import black_photo, has_black, read_session_photo
+from recon.sweeps.photo_stream import black_photo, has_black
 
 # A peak is one that noise alone would show in one dark sample of a thousand million.
 PEAK_SIGMA = 6.0
@@ -18,16 +20,14 @@ STRIPE_SIGMA = 4.5
 MEDIAN_OF_FIVE = 0.2868
 
 
-def black_level(session: Session, capture_set: CaptureSet, axis: Axis) -> tuple[np.ndarray, float, float]:
+def black_level(
+    session: Session, capture_set: CaptureSet, numbers: range, *, photo: Callable[[int], Counts]
+) -> tuple[np.ndarray, float, float]:
     """Return the counts without the stripe, the variance of one dark sample and that of one of these counts.
 
-    The black photo where there is one; otherwise the median of five photos spread over the sweep.
+    The black photo where there is one; otherwise the median of five photos spread over the sweep, whose photos have these
+    ``numbers``.
     """
-    numbers = session.photo_numbers(capture_set, axis)
-
-    def photo(index: int) -> np.ndarray:
-        return read_session_photo(session, capture_set.name, axis, index)
-
     first, last = photo(numbers[0]), photo(numbers[-1])
     variance = dark_variance(first, last)
     if has_black(session, capture_set):

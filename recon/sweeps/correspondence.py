@@ -18,7 +18,7 @@ from recon.sweeps.black_level import black_level, noise_floor, reach_floor
 from recon.sweeps.curve_reach import curve_half_width
 from recon.sweeps.half_seen import half_seen_of
 from recon.sweeps.noise import NoiseModel
-from recon.sweeps.photo_stream import check_depth, photo_quality, read_session_photo
+from recon.sweeps.photo_stream import SweepPhotos, check_depth, photo_quality
 from recon.sweeps.sample_curves import sample_curves
 from recon.sweeps.stripe_peak import NO_PEAK, PeakWindows, parabola_offset
 
@@ -71,33 +71,34 @@ def decode_sweep(
 
     pattern = capture_set.sweep(axis).pattern
     assert isinstance(pattern, StripePattern)
-    black, dark, of_black = black_level(session, capture_set, axis)
+    photos = SweepPhotos(session, capture_set, axis)
+    black, dark, of_black = black_level(session, capture_set, photos.numbers, photo=photos.early)
     floor = noise_floor(black, dark + of_black)
     half_width = window_half_width(pattern, method)
     if method == "full":
         half_width = curve_half_width(
-            lambda number: read_session_photo(session, capture_set.name, axis, number),
-            session.photo_numbers(capture_set, axis),
+            photos.early,
+            photos.numbers,
             black=black,
             floor=reach_floor(black, dark),
             least=half_width,
         )
     # Two paths are for the fit to tell apart.
     tracker = PeakTracker(floor, half_width=half_width, second=method == "full")
-    photos = _stream(session, capture_set, axis, tracker, black=black, on_photo=on_photo)
+    quality = _stream(session, capture_set, axis, photos, tracker, black=black, on_photo=on_photo)
     windows = tracker.finish()
     del tracker, floor
     give_back_free_memory()
     clipped = saturation_count(black)
     if method == "paper":
-        return place_by_parabola(windows, pattern, black=black, dark=dark, photos=photos)
+        return place_by_parabola(windows, pattern, black=black, dark=dark, photos=quality)
     return place_by_likelihood(
         windows,
         pattern,
         black=black,
         dark=dark,
         clipped=clipped,
-        photos=photos,
+        photos=quality,
         continuous=session.manifest.display.continuous,
     )
 
@@ -113,6 +114,7 @@ def _stream(
     session: Session,
     capture_set: CaptureSet,
     axis: Axis,
+    photos: SweepPhotos,
     tracker: "PeakTracker",
     *,
     black: np.ndarray,
@@ -120,8 +122,8 @@ def _stream(
 ) -> tuple[PhotoQuality, ...]:
     free: np.ndarray | None = None
     quality, clipped = [], saturation_count(black)
-    for index in session.photo_numbers(capture_set, axis):
-        counts = read_session_photo(session, capture_set.name, axis, index, buffer=free)
+    for index in photos.numbers:
+        counts = photos.take(index, buffer=free)
         check_depth(session, capture_set, axis, index, counts, like=black)
         free = tracker.feed(counts)
         brightest = tracker.brightest()

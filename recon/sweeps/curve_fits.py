@@ -11,7 +11,8 @@ from recon.sweeps.curve_lookup import looked_up
 from recon.sweeps.curve_samples import SweepCurves
 from recon.sweeps.footprint import coordinate_gradient
 from recon.sweeps.leverage import leverage_of
-from recon.sweeps.noise import NoiseModel, beside_peak_variance, lone_peak_variance, noise_from_residuals
+from recon.sweeps.noise import NoiseModel, noise_from_residuals
+from recon.sweeps.peak_noise import beside_peak_variance, lone_peak_variance
 from recon.sweeps.stripe_fit import PIXELS_A_BLOCK, StripeFit, WidthPrior, fit_stripe
 from recon.sweeps.stripe_model import LARGEST_MISFIT
 from recon.sweeps.two_paths import TwoPaths, two_paths

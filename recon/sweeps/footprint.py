@@ -46,9 +46,7 @@ def coordinate_gradient(
     return gradient
 
 
-def _tile_gradient(
-    place_px: np.ndarray, valid: np.ndarray, *, quantum_px: float
-) -> Float64[np.ndarray, "2 rows cols"]:
+def _tile_gradient(place_px: np.ndarray, valid: np.ndarray, *, quantum_px: float) -> Float64[np.ndarray, "2 rows cols"]:
     filled = np.where(valid, place_px, place_px.dtype.type(0))
     median = cv2.medianBlur(filled.astype(np.float32, copy=False), WINDOW_PX)
     value, off, keep = filled.astype(np.float64), np.empty_like(median), np.empty(valid.shape, dtype=bool)

@@ -5,8 +5,6 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from recon.sweeps.stripe_peak import PeakWindows
-
 # Rounding to whole counts alone has this variance.
 ROUNDING_VARIANCE = 1 / 12
 # Median of the square of a standard normal variable.
@@ -15,17 +13,10 @@ SIGNAL_BINS = 12
 FEWEST_IN_BIN = 200
 # Samples below this share of the brightest are dark ones.
 DARK_SHARE = 2e-3
-# A pixel is lit in one photo alone where the photos beside it hold less than this share of its light.
-LONE_SHARE = 0.01
-LARGEST_STEP_SHARE = 0.1
 # The ringing of compressed photos comes seldom and is then many times the usual noise. A fit takes such a sample for light, so it
 # counts; what is farther out, in variances, is light.
 LARGEST_SQUARE = 64.0
-# Peaks of this share of the median one are bright; so many pixels tell the noise beside them.
-BRIGHT_SHARE = 0.5
-BESIDE_PIXELS = 100_000
 COUNTED_AT_ONCE = 1 << 18
-BAND_ROWS = 128
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -114,6 +105,9 @@ def noise_from_residuals(
         read_variance = max(read_variance, _clipped_variance(dark))
     edges = np.geomspace(max(np.sqrt(read_variance), brightest * 1e-3), brightest, SIGNAL_BINS + 1)
     places, variances = [], []
+    # Most samples are dark: the others are looked through for every bin.
+    lit = signal >= edges[0]
+    signal, residual = signal[lit], residual[lit]
     for low, high in itertools.pairwise(edges):
         inside = (signal >= low) & (signal <= high)
         if np.count_nonzero(inside) >= FEWEST_IN_BIN:
@@ -144,69 +138,3 @@ def _two_not_negative(terms: np.ndarray, wanted: np.ndarray) -> tuple[float, flo
     square, pull = np.einsum("ij,ij->j", terms, terms), np.maximum(wanted @ terms, 0.0)
     factor = pull / np.maximum(square, np.finfo(np.float64).tiny)
     return (float(factor[0]), 0.0) if pull[0] * factor[0] >= pull[1] * factor[1] else (0.0, float(factor[1]))
-
-
-def lone_peak_variance(
-    windows: PeakWindows, black: np.ndarray, *, clipped: int, dark_variance: float
-) -> tuple[float, float] | None:
-    """Return height and variance of the samples of pixels that the stripe lit in a single photo, or None where they are few.
-
-    A fit follows such a sample whatever its noise. But neighbours lit by the same stripe alone are lit alike, so that their
-    difference tells the variance of a fully lit sample.
-    """
-    heights, squares = [], []
-    for low in range(0, len(black), BAND_ROWS):
-        height, square = _lone_pairs(windows, black, slice(low, low + BAND_ROWS), clipped, dark_variance)
-        heights.append(height)
-        squares.append(square)
-    height, square = np.concatenate(heights), np.concatenate(squares)
-    if len(height) < FEWEST_IN_BIN:
-        return None
-    return float(np.median(height)), float(np.median(square)) / CHI_SQUARE_MEDIAN
-
-
-def _lone_pairs(
-    windows: PeakWindows, black: np.ndarray, band: slice, clipped: int, dark_variance: float
-) -> tuple[np.ndarray, np.ndarray]:
-    """Return mean height and half the squared difference of each pair of such neighbours in a band of rows."""
-    middle, columns = windows.half_width, black.shape[1]
-    part = slice(band.start * columns, band.stop * columns)
-    index = windows.peak_index[part]
-    if not (index >= 0).any():
-        return np.empty(0), np.empty(0)
-    samples = windows.samples[part]
-    dark = black[band].ravel().astype(np.float32)
-    peak = samples[:, middle].astype(np.float32) - dark
-    beside = np.maximum(samples[:, middle - 1], samples[:, middle + 1]).astype(np.float32) - dark
-    lone = (index >= 0) & (samples[:, middle] < clipped)
-    lone &= beside < np.maximum(LONE_SHARE * peak, 3 * np.sqrt(dark_variance))
-    lone, peak, index = lone.reshape(-1, columns), peak.reshape(-1, columns), index.reshape(-1, columns)
-    pair = lone[:, 1:] & lone[:, :-1] & (index[:, 1:] == index[:, :-1])
-    # A pixel that sees its stripe through a rim is darker than its neighbour: not noise.
-    pair &= np.abs(peak[:, 1:] - peak[:, :-1]) < LARGEST_STEP_SHARE * (peak[:, 1:] + peak[:, :-1])
-    height = 0.5 * (peak[:, 1:] + peak[:, :-1])[pair]
-    return height, 0.5 * (peak[:, 1:] - peak[:, :-1])[pair].astype(np.float64) ** 2
-
-
-def beside_peak_variance(windows: PeakWindows, black: np.ndarray) -> float | None:
-    """Return the variance of the dark samples next to a bright peak, or None where next to peaks hardly any is dark.
-
-    A stripe takes no light away, so what lies below the rest of the window there is noise; as much of it lies above, where a fit
-    takes it for light. Compressed photos are noisier there than elsewhere: blocks with an edge in them ring.
-    """
-    middle = windows.half_width
-    number = windows.peak_index
-    lit = np.flatnonzero((number >= middle) & (number < windows.photo_count - middle))
-    lit = lit[:: max(len(lit) // BESIDE_PIXELS, 1)]
-    if middle < 2 or len(lit) == 0:
-        return None
-    samples = windows.samples[lit].astype(np.float32)
-    peak = samples[:, middle] - black[lit]
-    samples = samples[peak >= BRIGHT_SHARE * np.median(peak)]
-    rest = np.delete(samples, [middle - 1, middle, middle + 1], axis=1)
-    height = samples[:, [middle - 1, middle + 1]] - rest.mean(axis=1, keepdims=True)
-    below = height[height < 0].astype(np.float64)
-    if len(below) < FEWEST_IN_BIN:
-        return None
-    # The mean of the rest has noise of its own.
-    return float((below**2).mean() - np.median(rest.var(axis=1, ddof=1)) / rest.shape[1])

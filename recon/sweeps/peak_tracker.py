@@ -121,8 +121,7 @@ def write_peaks(
     found = np.empty(BLOCK_PIXELS, dtype=np.bool_)
     for each in range(len(blocks)):
         low = np.uintp(blocks[each] * BLOCK_PIXELS)
-        size = _find_peaks(low, ring, places, brightest, found)
-        for k in range(size):
+        for k in range(_find_peaks(low, ring, places, brightest, found)):
             if found[k]:
                 pixel = low + k
                 brightest[pixel] = ring[places[len(places) // 2], pixel]
@@ -147,20 +146,19 @@ def write_two_peaks(
 ) -> int:
     """Do the same for the brightest and for the second peak, which lies beyond the window about the first; return its rows.
 
-    Numbers and samples of second peaks have rows of their own: ``row_of`` [pixels] tells which, from 1 on, and ``rows`` are taken.
+    Numbers and samples of second peaks have rows of their own: ``row_of`` [pixels] tells which, from 1 on; ``rows`` are taken.
     """
     found = np.empty(BLOCK_PIXELS, dtype=np.bool_)
     half_width = len(places) // 2
     for each in range(len(blocks)):
         low = np.uintp(blocks[each] * BLOCK_PIXELS)
-        size = _find_peaks(low, ring, places, second_brightest, found)
-        for k in range(size):
+        for k in range(_find_peaks(low, ring, places, second_brightest, found)):
             if not found[k]:
                 continue
             pixel = low + k
             height, former = ring[places[half_width], pixel], number[pixel]
             brighter, apart = height > brightest[pixel], index - former > half_width
-            if apart and (former != NO_PEAK or not brighter):
+            if apart and (former >= 0 or not brighter):
                 if row_of[pixel] == 0:
                     rows += 1
                     row_of[pixel] = rows
@@ -180,14 +178,16 @@ def write_two_peaks(
 
 
 @compiled
-def _find_peaks(low: int, ring: np.ndarray, places: np.ndarray, brightest: np.ndarray, found: np.ndarray) -> int:
+def _find_peaks(
+    low: np.uintp, ring: np.ndarray, places: np.ndarray, brightest: np.ndarray, found: np.ndarray
+) -> np.uintp:
     """Write which pixels of a block are brighter than ever, and no darker than before and after; return how many to look at.
 
     Only a local maximum can be the brightest of all: a rising flank is not written again and again.
     """
     middle = len(places) // 2
     before, centre, after = ring[places[middle - 1]], ring[places[middle]], ring[places[middle + 1]]
-    size = np.uintp(min(BLOCK_PIXELS, len(brightest) - low))
+    size = min(np.uintp(BLOCK_PIXELS), np.uintp(len(brightest)) - low)
     some = False
     for k in range(size):
         some |= centre[low + k] > brightest[low + k]
@@ -200,7 +200,7 @@ def _find_peaks(low: int, ring: np.ndarray, places: np.ndarray, brightest: np.nd
 
 
 @compiled
-def _copy_samples(ring: np.ndarray, places: np.ndarray, pixel: int, samples: np.ndarray, row: int) -> None:
+def _copy_samples(ring: np.ndarray, places: np.ndarray, pixel: np.uintp, samples: np.ndarray, row: np.uintp) -> None:
     """Write the counts of a pixel in all photos of the ring into a row of the samples."""
     for column in range(np.uintp(len(places))):
         samples[row, column] = ring[np.uintp(places[column]), pixel]

@@ -25,6 +25,30 @@ def read_session_photo(
     )
 
 
+class SweepPhotos:
+    """The photos of one sweep, some of which are wanted before they are streamed: each is decoded once.
+
+    Those are kept until they come, as many as there are: a few.
+    """
+
+    def __init__(self, session: Session, capture_set: CaptureSet, axis: Axis) -> None:
+        self._session, self._set, self._axis = session, capture_set.name, axis
+        self.numbers = session.photo_numbers(capture_set, axis)
+        self._kept: dict[int, Counts] = {}
+
+    def early(self, index: int) -> Counts:
+        """Return a photo [rows, cols] that will be streamed later."""
+        if index not in self._kept:
+            self._kept[index] = read_session_photo(self._session, self._set, self._axis, index)
+        return self._kept[index]
+
+    def take(self, index: int, *, buffer: Counts | None) -> Counts:
+        """Return a photo for the last time; what has to be decoded may be written into ``buffer``."""
+        if index in self._kept:
+            return self._kept.pop(index)
+        return read_session_photo(self._session, self._set, self._axis, index, buffer=buffer)
+
+
 def photo_stream(
     session: Session,
     capture_set: CaptureSet,

@@ -13,7 +13,8 @@ from recon.sweeps.curve_centres import curve_centres
 from recon.sweeps.curve_lookup import looked_up
 from recon.sweeps.curve_samples import CurveSamples, SweepCurves
 from recon.sweeps.curve_table import curve_table
-from recon.sweeps.noise import NoiseModel, beside_peak_variance, dark_variance, noise_from_residuals
+from recon.sweeps.noise import NoiseModel, dark_variance, noise_from_residuals
+from recon.sweeps.peak_noise import beside_peak_variance
 from recon.sweeps.peak_tracker import PeakTracker
 from recon.sweeps.stripe_fit import StripeFit, WidthPrior, fit_stripe
 from recon.sweeps.stripe_model import footprint_average

@@ -2,12 +2,15 @@
 
 import json
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
 from session_example import PLACES, write_session
 
 from recon.errors import SessionError
+from recon.method import Method
+from recon.sessions.photos import read_grey
 from recon.sessions.session import SessionWriter, open_session
 from recon.sessions.wholeness import faults, missing_photos
 from recon.sweeps.correspondence import decode_sweep
@@ -65,6 +68,23 @@ def test_a_pixel_within_the_range_is_decoded_to_the_same_place(folder: Path) -> 
         np.testing.assert_allclose(part.place_px[:, column], whole.place_px[:, column], rtol=0, atol=1e-12)
         assert np.isfinite(part.place_px[:, column]).all()
     assert [photo.index for photo in part.photos] == [1, 2, 3, 4]
+
+
+@pytest.mark.parametrize("method", ["paper", "full"])
+def test_a_photo_that_is_wanted_before_the_sweep_is_decoded_once(
+    folder: Path, method: Method, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    decoded: list[str] = []
+
+    def counted(path: Path, **settings: Any) -> np.ndarray:
+        decoded.append(path.name)
+        return read_grey(path, **settings)
+
+    monkeypatch.setattr("recon.sweeps.photo_stream.read_grey", counted)
+    session = open_session(folder)
+    decode_sweep(session, session.manifest.set_named("pos0_air"), "x", method=method)
+    assert sorted(decoded) == sorted(set(decoded))
+    assert len(decoded) >= 5
 
 
 @pytest.mark.parametrize(("first", "last"), [(0, 1), (3, 5), (4, 2)])
