@@ -1,37 +1,21 @@
-"""Maps on the camera grid as PNG pictures with a colour bar, once for a light page and once for a dark one."""
+"""Maps on the camera grid as pictures with a colour bar: of one number a pixel, of normals, of classes."""
 
-import io
-from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass
-from typing import Any
+from collections.abc import Sequence
 
-import matplotlib
 import numpy as np
-from jaxtyping import Bool, Float, Float64, UInt8
+from jaxtyping import Float, Float64, UInt8
 from matplotlib.axes import Axes
-from matplotlib.backends.backend_agg import FigureCanvasAgg
-from matplotlib.colors import BoundaryNorm, ListedColormap, LogNorm, Normalize, to_rgba
-from matplotlib.figure import Figure
-from matplotlib.lines import Line2D
-from matplotlib.patches import Patch
-from matplotlib.text import Text
+from matplotlib.colors import BoundaryNorm, ListedColormap, LogNorm, Normalize
 from matplotlib.ticker import FuncFormatter, LogLocator, NullFormatter
 
+from recon.report.map_window import Window, window_around
 from recon.report.numbers import number
+from recon.report.theme_pictures import Picture, both_themes
 from recon.status import PixelStatus
 
-# Ink and ground of the two themes of style.css.
-THEMES = {"light": ("#24292f", "#e8eaed"), "dark": ("#d5dae0", "#2b313a")}
-FIGURE_WIDTH_IN, DOTS_PER_IN = 4.8, 190
-# Room round the map for tick labels, axis labels and the colour bar.
-LEFT_IN, RIGHT_IN, KEY_IN, BOTTOM_IN, TOP_IN, BAR_IN = 0.58, 0.12, 1.02, 0.45, 0.1, 0.16
-SMALLEST_HEIGHT_IN, LARGEST_HEIGHT_IN = 1.2, 4.6
 # A limit set by one outlier in a hundred says nothing about the surface.
 LIMIT_PERCENTILES = (1.0, 99.0)
 LARGEST_RATIO = 100.0
-# A picture a twentieth larger than the smallest, in two thirds of the time.
-PNG_OPTIONS = {"compress_level": 4}
-Draw = Callable[[Axes, Axes], None]
 
 STATUS_COLOURS: dict[PixelStatus, str] = {
     PixelStatus.OK: "#2a9d8f",
@@ -51,58 +35,6 @@ STATUS_COLOURS: dict[PixelStatus, str] = {
     PixelStatus.COVERED: "#95d5b2",
     PixelStatus.WET_SPOT: "#ffb703",
 }
-
-
-@dataclass(frozen=True, slots=True)
-class Picture:
-    """One figure in both themes, with the words for those who cannot see it."""
-
-    light_png: bytes
-    dark_png: bytes
-    alt: str
-    width: int
-    height: int
-
-
-@dataclass(frozen=True, slots=True)
-class Window:
-    """A rectangle of the camera grid and the step at which it is shown."""
-
-    row_start: int
-    row_stop: int
-    col_start: int
-    col_stop: int
-    step: int
-
-    @property
-    def extent(self) -> tuple[float, float, float, float]:
-        """Edges in camera pixels for ``imshow``: left, right, bottom, top."""
-        return (self.col_start - 0.5, self.col_stop - 0.5, self.row_stop - 0.5, self.row_start - 0.5)
-
-    def part(self, grid: np.ndarray) -> np.ndarray:
-        """Return the part of a map, with every pixel of it."""
-        return grid[self.row_start : self.row_stop, self.col_start : self.col_stop]
-
-    def cut(self, grid: np.ndarray) -> np.ndarray:
-        """Return the part of a map, thinned to the step."""
-        return self.part(grid)[:: self.step, :: self.step]
-
-
-def window_around(wanted: Bool[np.ndarray, "rows cols"], *, longest_px: int) -> Window:
-    """Return the rectangle that holds every wanted pixel with a little room, thinned to ``longest_px``."""
-    rows, cols = (np.flatnonzero(wanted.any(axis=axis)) for axis in (1, 0))
-    if rows.size == 0:
-        bounds = (0, wanted.shape[0], 0, wanted.shape[1])
-    else:
-        room = 2 + max(np.ptp(rows), np.ptp(cols)) // 40
-        bounds = (
-            max(0, int(rows[0] - room)),
-            min(wanted.shape[0], int(rows[-1] + room + 1)),
-            max(0, int(cols[0] - room)),
-            min(wanted.shape[1], int(cols[-1] + room + 1)),
-        )
-    longest = max(bounds[1] - bounds[0], bounds[3] - bounds[2])
-    return Window(*bounds, step=max(1, -(-longest // longest_px)))
 
 
 def limits(values: Float[np.ndarray, "*grid"], *, symmetric: bool = False) -> tuple[float, float]:
@@ -156,7 +88,7 @@ def scalar_picture(
             bar.ax.yaxis.set_minor_formatter(NullFormatter())
         bar.outline.set_visible(False)
 
-    return _both_themes(draw, window, alt, with_key=True)
+    return both_themes(draw, window, alt, with_key=True)
 
 
 def normal_picture(normal: Float64[np.ndarray, "shown_rows shown_cols 3"], window: Window, *, alt: str) -> Picture:
@@ -170,7 +102,7 @@ def normal_picture(normal: Float64[np.ndarray, "shown_rows shown_cols 3"], windo
         axes.imshow(shown, extent=window.extent, interpolation="nearest")
         ball_key(key)
 
-    return _both_themes(draw, window, alt, with_key=True)
+    return both_themes(draw, window, alt, with_key=True)
 
 
 def ball_key(key: Axes) -> None:
@@ -209,77 +141,4 @@ def class_picture(
         shown, key = window.cut(classes), ListedColormap(list(colours))
         axes.imshow(shown, extent=window.extent, cmap=key, norm=norm, interpolation="nearest")
 
-    return _both_themes(draw, window, alt, with_key=False)
-
-
-@dataclass(frozen=True, slots=True)
-class Layout:
-    """Where map and key stand in the figure, as parts of its width and height."""
-
-    height_in: float
-    map_box: tuple[float, float, float, float]
-    key_box: tuple[float, float, float, float]
-
-
-def layout_of(window: Window, *, with_key: bool) -> Layout:
-    """Return a layout in which the map keeps its proportions and leaves room for ticks, labels and a colour bar.
-
-    Computed here rather than by matplotlib's layout engine, which draws every text several times.
-    """
-    rows, cols = window.row_stop - window.row_start, window.col_stop - window.col_start
-    room_in = FIGURE_WIDTH_IN - LEFT_IN - (KEY_IN if with_key else RIGHT_IN)
-    width_in = min(room_in, LARGEST_HEIGHT_IN * cols / rows)
-    tall_in = max(width_in * rows / cols, SMALLEST_HEIGHT_IN)
-    height_in = tall_in + BOTTOM_IN + TOP_IN
-    left, bottom = LEFT_IN / FIGURE_WIDTH_IN, BOTTOM_IN / height_in
-    across, up = width_in / FIGURE_WIDTH_IN, tall_in / height_in
-    key_width = BAR_IN / FIGURE_WIDTH_IN
-    return Layout(height_in, (left, bottom, across, up), (left + across + 0.6 * key_width, bottom, key_width, up))
-
-
-def _both_themes(draw: Draw, window: Window, alt: str, *, with_key: bool) -> Picture:
-    """Render one drawing with the inks of the light and then of the dark page."""
-    layout = layout_of(window, with_key=with_key)
-    pictures: dict[str, bytes] = {}
-    figure = Figure(figsize=(FIGURE_WIDTH_IN, layout.height_in), dpi=DOTS_PER_IN)
-    FigureCanvasAgg(figure)
-    for theme, (ink, ground) in THEMES.items():
-        inks: Any = {
-            "text.color": ink,
-            "axes.labelcolor": ink,
-            "axes.edgecolor": ink,
-            "xtick.color": ink,
-            "ytick.color": ink,
-            "axes.facecolor": ground,
-            "font.size": 9,
-            "axes.linewidth": 0.5,
-            "xtick.major.width": 0.5,
-            "ytick.major.width": 0.5,
-        }
-        with matplotlib.rc_context(inks):
-            if not figure.axes:
-                axes = figure.add_axes(layout.map_box)
-                draw(axes, figure.add_axes(layout.key_box) if with_key else axes)
-                axes.set_xlabel("camera column (px)")
-                axes.set_ylabel("camera row (px)")
-                axes.locator_params(nbins=5)
-                for side in ("top", "right"):
-                    axes.spines[side].set_visible(False)
-            else:
-                recolour(figure, dict(zip(THEMES["light"], (ink, ground), strict=True)))
-            buffer = io.BytesIO()
-            figure.savefig(buffer, format="png", facecolor="none", metadata={"Software": None}, pil_kwargs=PNG_OPTIONS)
-            pictures[theme] = buffer.getvalue()
-    size = round(FIGURE_WIDTH_IN * DOTS_PER_IN), round(layout.height_in * DOTS_PER_IN)
-    return Picture(pictures["light"], pictures["dark"], alt, *size)
-
-
-def recolour(figure: Figure, colours: Mapping[str, str]) -> None:
-    """Give texts, lines and frames of a figure the colours that stand for those they have."""
-    new = {to_rgba(old): colour for old, colour in colours.items()}
-    for artist in figure.findobj(lambda one: isinstance(one, Text | Line2D | Patch)):
-        for name in ("color", "markeredgecolor", "edgecolor", "facecolor"):
-            if hasattr(artist, f"get_{name}"):
-                colour = new.get(to_rgba(getattr(artist, f"get_{name}")()))
-                if colour is not None:
-                    artist.set(**{name: colour})
+    return both_themes(draw, window, alt, with_key=False)

@@ -9,17 +9,12 @@ from jaxtyping import Float, Float64, UInt8
 from recon.maps import Maps
 from recon.report.charts import Scale, area_path
 from recon.report.display_frame import depths, frame_from_world, rotate
-from recon.report.map_pictures import (
-    STATUS_COLOURS,
-    Picture,
-    class_picture,
-    normal_picture,
-    scalar_picture,
-    window_around,
-)
+from recon.report.map_pictures import STATUS_COLOURS, class_picture, normal_picture, scalar_picture
+from recon.report.map_window import window_around
 from recon.report.numbers import LengthUnit, number, share
 from recon.report.panel import Panel, Section
 from recon.report.paths_panel import paths_panel
+from recon.report.theme_pictures import Picture
 from recon.sessions.manifest import Manifest
 from recon.status import REASONS, PixelStatus
 

@@ -9,9 +9,9 @@ from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
 from matplotlib.ticker import FuncFormatter
 
-from recon.report.map_pictures import THEMES, Picture
 from recon.report.page import render_page
 from recon.report.panel import Panel, Section, Table
+from recon.report.theme_pictures import THEMES, Picture
 from recon.study.study_result import StudyFigure, StudyResult, StudyTable, cell_text
 
 PAGE_NAME = "study.html"

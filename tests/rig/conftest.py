@@ -1,5 +1,6 @@
 """A rig small enough to capture within a second: 32 × 32 photos, a display of 32 columns, 8 places a sweep."""
 
+import sys
 from collections.abc import Callable, Iterator
 from contextlib import AbstractContextManager, contextmanager
 from pathlib import Path
@@ -8,6 +9,7 @@ import pytest
 from rich.console import Console
 
 from rig.capturing.capture import capture
+from rig.cli import main
 from rig.config import RigConfig
 from rig.devices import Devices, open_devices, simulated_devices
 from rig.rehearsing.rehearsal import Simulation, open_world
@@ -95,3 +97,23 @@ def captured(tmp_path_factory: pytest.TempPathFactory, config: RigConfig, scene:
     with open_devices(config, simulation=Simulation(scene)) as devices:
         capture(config, folder, devices=devices, scene=scene, resume=False, console=Console(quiet=True))
     return folder
+
+
+@pytest.fixture
+def rig(
+    monkeypatch: pytest.MonkeyPatch, capfd: pytest.CaptureFixture[str], tmp_path: Path
+) -> Callable[..., tuple[int, str, str]]:
+    """Return ``rig(arguments…)`` → exit code, what it printed, what it complained."""
+    monkeypatch.chdir(tmp_path)
+
+    def run(*arguments: str) -> tuple[int, str, str]:
+        monkeypatch.setattr(sys, "argv", ["rig", *arguments])
+        try:
+            main()
+            code = 0
+        except SystemExit as stop:
+            code = int(stop.code or 0)
+        printed = capfd.readouterr()
+        return code, printed.out, printed.err
+
+    return run

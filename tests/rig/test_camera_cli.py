@@ -1,6 +1,5 @@
 """``rig camera``: a photo, the settings and a preview by hand, from a simulated camera and from a real driver."""
 
-import sys
 from collections.abc import Callable
 from importlib import resources
 from pathlib import Path
@@ -8,29 +7,10 @@ from pathlib import Path
 import pytest
 import simplejpeg
 
-from rig.cli import main
 from sim_backend.ptpip.process import EmulatedCamera, emulate_camera
 from sim_backend.ptpip.sources import drawn_photos
 
 Run = Callable[..., tuple[int, str, str]]
-
-
-@pytest.fixture
-def rig(monkeypatch: pytest.MonkeyPatch, capfd: pytest.CaptureFixture[str], tmp_path: Path) -> Run:
-    """Return ``rig(arguments…)`` → exit code, what it printed, what it complained."""
-    monkeypatch.chdir(tmp_path)
-
-    def run(*arguments: str) -> tuple[int, str, str]:
-        monkeypatch.setattr(sys, "argv", ["rig", *arguments])
-        try:
-            main()
-            code = 0
-        except SystemExit as stop:
-            code = int(stop.code or 0)
-        printed = capfd.readouterr()
-        return code, printed.out, printed.err
-
-    return run
 
 
 @pytest.fixture

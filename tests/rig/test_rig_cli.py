@@ -1,7 +1,6 @@
 """The ``rig`` command as its user meets it: results on one line, errors in one sentence, never a traceback."""
 
 import json
-import sys
 from collections.abc import Callable
 from importlib import resources
 from pathlib import Path
@@ -9,29 +8,10 @@ from pathlib import Path
 import pytest
 
 from recon.sessions.session import open_session
-from rig.cli import main
 from rig.rehearsing.scene_config import SceneOptions, config_of_scene, open_scene
 from sim_backend.scene import scene_names
 
 Run = Callable[..., tuple[int, str, str]]
-
-
-@pytest.fixture
-def rig(monkeypatch: pytest.MonkeyPatch, capfd: pytest.CaptureFixture[str], tmp_path: Path) -> Run:
-    """Return ``rig(arguments…)`` → exit code, what it printed, what it complained."""
-    monkeypatch.chdir(tmp_path)
-
-    def run(*arguments: str) -> tuple[int, str, str]:
-        monkeypatch.setattr(sys, "argv", ["rig", *arguments])
-        try:
-            main()
-            code = 0
-        except SystemExit as stop:
-            code = int(stop.code or 0)
-        printed = capfd.readouterr()
-        return code, printed.out, printed.err
-
-    return run
 
 
 def test_a_rehearsal_writes_a_whole_session(rig: Run, tiny_arguments, tmp_path: Path) -> None:

@@ -1,6 +1,5 @@
 """``rig pump`` with real drivers: the pumps are emulated on pseudo terminals, the rest is what an operator runs."""
 
-import sys
 from collections.abc import Callable, Iterator
 from pathlib import Path
 
@@ -8,7 +7,6 @@ import numpy as np
 import pytest
 
 from drivers.protocols import Frame
-from rig.cli import main
 from rig.tank.ledger import FlowBegun
 from rig.tank.ledger_book import LedgerBook
 from sim_backend.clock import RealClock
@@ -26,24 +24,6 @@ def world() -> World:
     return World(
         clock=RealClock(), tank=TankSize(6000.0, 4500.0), dark_frame=dark, state=WorldState(reservoir_ml=5000.0)
     )
-
-
-@pytest.fixture
-def rig(monkeypatch: pytest.MonkeyPatch, capfd: pytest.CaptureFixture[str], tmp_path: Path) -> Run:
-    """Return ``rig(arguments…)`` → exit code, what it printed, what it complained."""
-    monkeypatch.chdir(tmp_path)
-
-    def run(*arguments: str) -> tuple[int, str, str]:
-        monkeypatch.setattr(sys, "argv", ["rig", *arguments])
-        try:
-            main()
-            code = 0
-        except SystemExit as stop:
-            code = int(stop.code or 0)
-        printed = capfd.readouterr()
-        return code, printed.out, printed.err
-
-    return run
 
 
 def configure(rig: Run, *, pump: str, section: str = "") -> None:

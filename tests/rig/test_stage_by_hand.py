@@ -1,6 +1,5 @@
 """``rig stage`` with a stage that is not simulated: the real drivers, on the port of an emulated controller."""
 
-import sys
 from collections.abc import Callable
 from importlib import resources
 from pathlib import Path
@@ -9,7 +8,6 @@ import numpy as np
 import pytest
 
 from drivers.protocols import Frame
-from rig.cli import main
 from rig.tank.ledger import FlowBegun
 from rig.tank.ledger_book import LedgerBook
 from sim_backend.clock import FastClock
@@ -21,24 +19,6 @@ from sim_backend.zaber_emulator import ZaberEmulator
 
 Run = Callable[..., tuple[int, str, str]]
 MICROSTEP_MM = 0.000047625
-
-
-@pytest.fixture
-def rig(monkeypatch: pytest.MonkeyPatch, capfd: pytest.CaptureFixture[str], tmp_path: Path) -> Run:
-    """Return ``rig(arguments…)`` → exit code, what it printed, what it complained."""
-    monkeypatch.chdir(tmp_path)
-
-    def run(*arguments: str) -> tuple[int, str, str]:
-        monkeypatch.setattr(sys, "argv", ["rig", *arguments])
-        try:
-            main()
-            code = 0
-        except SystemExit as stop:
-            code = int(stop.code or 0)
-        printed = capfd.readouterr()
-        return code, printed.out, printed.err
-
-    return run
 
 
 @pytest.fixture
