@@ -7,7 +7,7 @@ import numpy as np
 from recon.sessions.manifest import CaptureSet
 from recon.sessions.photos import Counts
 from recon.sessions.session import Session
-from recon.sweeps.noise import dark_variance
+from recon.sweeps.noise import ROUNDING_VARIANCE, dark_variance
 from recon.sweeps.photo_stream import black_photo, has_black
 
 # A peak is one that noise alone would show in one dark sample of a thousand million.
@@ -16,6 +16,8 @@ LEAST_PEAK_COUNTS = 2.0
 # Noise alone shows a stripe in one dark sample of 300,000, in one dark pixel of a thousand in a sweep of the paper's length; the
 # fit then finds no curve there. A higher floor would lose faint light, of which there is far more.
 STRIPE_SIGMA = 4.5
+# Fewer different counts may have a common step by chance.
+FEWEST_COUNTS = 16
 # Variance of the median of five normal samples, over that of one (David and Nagaraja, Order Statistics, 3rd ed., 2003).
 MEDIAN_OF_FIVE = 0.2868
 
@@ -29,11 +31,21 @@ def black_level(
     ``numbers``.
     """
     first, last = photo(numbers[0]), photo(numbers[-1])
-    variance = dark_variance(first, last)
+    step = 1 if first.dtype == np.uint8 else step_of_counts(photo(numbers[round(0.5 * (len(numbers) - 1))]))
+    # Noise below the step is rounded away, and shows again in a sample here and there.
+    variance = max(dark_variance(first, last), ROUNDING_VARIANCE * step**2)
     if has_black(session, capture_set):
         return black_photo(session, capture_set), variance, variance
     between = (photo(numbers[round(share * (len(numbers) - 1))]) for share in (0.25, 0.5, 0.75))
     return median_of_five(first, last, *between), variance, MEDIAN_OF_FIVE * variance
+
+
+def step_of_counts(counts: Counts) -> int:
+    """Return the step in which a photo's counts come: 257 for 8 bits stretched to 16, and 1 where they tell none."""
+    seen = np.zeros(np.iinfo(counts.dtype).max + 1, dtype=bool)
+    seen[counts] = True
+    different = np.flatnonzero(seen)
+    return int(np.gcd.reduce(np.diff(different))) if len(different) >= FEWEST_COUNTS else 1
 
 
 def median_of_five(a: Counts, b: Counts, c: Counts, d: Counts, e: Counts) -> Counts:
