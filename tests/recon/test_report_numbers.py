@@ -2,14 +2,19 @@
 
 import doctest
 import math
+from dataclasses import replace
 
+import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 from markupsafe import Markup
+from report_example import example_maps, example_metrics
 
 from recon.report import charts, numbers, result_section, run_section
 from recon.report.page import prose
+from recon.report.writer import tiles
+from recon.status import PixelStatus
 
 
 @pytest.mark.parametrize("module", [charts, numbers, result_section, run_section])
@@ -55,3 +60,14 @@ def test_words_between_backticks_become_code_and_all_else_is_escaped() -> None:
 
 def test_a_lone_backtick_stays_as_it_is() -> None:
     assert prose("5` <i>") == "5` &lt;i&gt;"
+
+
+def test_the_tiles_tell_of_the_points_that_were_measured_as_the_table_does() -> None:
+    maps = example_maps()
+    sd_mm, status = maps.sd_mm.copy(), maps.status.copy()
+    points = np.flatnonzero(maps.valid())
+    sd_mm.ravel()[points] = 0.02
+    covered = points[: 2 * len(points) // 3]
+    status.ravel()[covered], sd_mm.ravel()[covered] = PixelStatus.COVERED, 0.5
+    shown = tiles(replace(maps, sd_mm=sd_mm, status=status), example_metrics(maps), numbers.LengthUnit.of("mm"))
+    assert dict(tile[:2] for tile in shown)["Standard deviation"] == "0.0200"
