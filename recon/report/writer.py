@@ -131,7 +131,7 @@ def unit_banners(unit: LengthUnit) -> tuple[Banner, ...]:
 def tiles(maps: Maps, metrics: Metrics, unit: LengthUnit) -> tuple[tuple[str, str, str], ...]:
     """Return the few numbers that a reader looks for first."""
     funnel = metrics.funnel
-    sd = maps.sd_mm[np.isfinite(maps.sd_mm)]
+    sd = maps.sd_mm[maps.valid() & np.isfinite(maps.sd_mm)]
     gap = maps.gap_mm[maps.valid() & np.isfinite(maps.gap_mm)]
     count = len(metrics.warnings)
     warnings = "no warnings" if not count else f"{number(count)} warning{'s' if count > 1 else ''}"

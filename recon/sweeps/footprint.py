@@ -19,12 +19,7 @@ FEWEST_NEIGHBOURS = 6
 LEAST_DETERMINANT = 1e-6
 # Maps are gone through tile by tile, each with what its pixels' own neighbours see: two medians and the large window.
 TILE_PX = 256
-NEIGHBOURHOOD_PX = 2 * (WINDOW_PX // 2) + 2 * (LARGE_WINDOW_PX // 2)
-# A plane that leaves more than this mean square (in quanta) has an edge or a fold of the map within its window: what steps leave is
-# 1/12 of it, and as much again is left to noise and to the bend of the map.
-LARGEST_LEFT = 1 / 6
-# Where a map only bends, a window on one side leaves less too, but not so far less, and its slopes are those of another place.
-FAR_LESS = 0.25
+NEIGHBOURHOOD_PX = 2 * (WINDOW_PX // 2) + LARGE_WINDOW_PX // 2
 
 
 def coordinate_gradient(
@@ -34,8 +29,7 @@ def coordinate_gradient(
 
     A plane u = u0 + g·(col, row) is fitted to 5 by 5 pixels about each, or to 15 by 15 where the smaller window sees only a
     few steps of the places; pixels far from their neighbours' median are left out. ``quantum_px`` is how coarse the places
-    may be: a step of the sweep is no outlier where pixels are finer than steps. Where an edge goes through the window, one that
-    has the pixel at its border or corner is taken, so that the gradient is that of the pixel's own side.
+    may be: a step of the sweep is no outlier where pixels are finer than steps.
     """
     rows, cols = place_px.shape
     gradient = np.full((rows, cols, 2), np.nan, dtype=np.float32)
@@ -52,7 +46,6 @@ def coordinate_gradient(
     return gradient
 
 
-<<<<<<< Updated upstream
 def _tile_gradient(place_px: np.ndarray, valid: np.ndarray, *, quantum_px: float) -> Float64[np.ndarray, "2 rows cols"]:
     filled = np.where(valid, place_px, place_px.dtype.type(0))
     median = cv2.medianBlur(filled.astype(np.float32, copy=False), WINDOW_PX)
@@ -70,32 +63,9 @@ def _tile_gradient(place_px: np.ndarray, valid: np.ndarray, *, quantum_px: float
 
 def _plane_slopes(value: np.ndarray, keep: np.ndarray, *, window_px: int) -> Float64[np.ndarray, "2 rows cols"]:
     """Return the slopes of the plane through the kept pixels of each window; NaN where these are too few or in one line.
-=======
-def _tile_gradient(place_px: np.ndarray, valid: np.ndarray, *, quantum_px: float) -> tuple[np.ndarray, np.ndarray]:
-    filled = np.where(valid, place_px, 0.0).astype(np.float64)
-    median = cv2.medianBlur(filled.astype(np.float32), WINDOW_PX)
-    off = np.abs(filled - median)
-    spread = cv2.medianBlur(off.astype(np.float32), WINDOW_PX)
-    keep = valid & (off <= 6 * spread + 2 * quantum_px)
-    value = np.where(keep, filled, 0.0)
-    by_col, by_row, steepest = _plane_slopes(value, keep, window_px=LARGE_WINDOW_PX, quantum_px=quantum_px)
-    stepped = steepest * WINDOW_PX < FEWEST_QUANTA * quantum_px
-    if not stepped.all():
-        small_by_col, small_by_row, _ = _plane_slopes(value, keep, window_px=WINDOW_PX, quantum_px=quantum_px)
-        by_col, by_row = np.where(stepped, by_col, small_by_col), np.where(stepped, by_row, small_by_row)
-    return by_col, by_row
 
-
-def _plane_slopes(
-    value: np.ndarray, keep: np.ndarray, *, window_px: int, quantum_px: float
-) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Return the slopes of the plane that suits each pixel best; NaN where the kept pixels are too few or in one line.
->>>>>>> Stashed changes
-
-    ``value`` is zero where it is not kept. The third map says how steep that plane is, or the one through the window about the
-    pixel, whichever is steeper.
+    ``value`` is zero where it is not kept.
     """
-<<<<<<< Updated upstream
     slopes = np.full((2, *value.shape), np.nan)
     write_slopes(value, keep, window_px // 2, slopes)
     return slopes
@@ -141,27 +111,19 @@ def take_smaller(slopes: np.ndarray, small: np.ndarray, quanta: float) -> None:
         for col in range(np.uintp(slopes.shape[2])):
             if (abs(slopes[0, row, col]) + abs(slopes[1, row, col])) * WINDOW_PX >= quanta:
                 slopes[0, row, col], slopes[1, row, col] = small[0, row, col], small[1, row, col]
-=======
-    planes = np.full((4, *value.shape), np.nan)
-    write_planes(value, keep, window_px // 2, planes)
-    slopes = planes[:2].copy()
-    if window_px==LARGE_WINDOW_PX: write_one_sided(value, keep, window_px // 2, quantum_px, planes, slopes)
-    steepest = np.maximum(np.abs(planes[:2]).sum(axis=0), np.abs(slopes).sum(axis=0))
-    return slopes[0], slopes[1], steepest
->>>>>>> Stashed changes
 
 
 @compiled
-def write_planes(value: np.ndarray, keep: np.ndarray, half: int, planes: np.ndarray) -> None:
-    """Write the planes through the kept pixels of windows about each pixel: slopes by column and by row, height, mean square left.
+def write_slopes(value: np.ndarray, keep: np.ndarray, half: int, slopes: np.ndarray) -> None:
+    """Write by column and by row [2, rows, cols] the slopes of the planes through the kept pixels of windows about each.
 
     Sums run along with the window, first down the columns and then along each row. Places in single precision leave double
     precision room for them, so that what is added and taken away again leaves nothing behind.
     """
     rows, cols = value.shape
-    # Of each column: pixels, rows, squares of rows, values, rows times values, squares of values.
-    column = np.zeros((6, cols))
-    window = np.zeros(10)
+    # Of each column: pixels, rows, squares of rows, values, rows times values.
+    column = np.zeros((5, cols))
+    window = np.zeros(9)
     for bottom in range(rows + half):
         for sign, row in ((1.0, bottom), (-1.0, bottom - 2 * half - 1)):
             if 0 <= row < rows:
@@ -172,60 +134,26 @@ def write_planes(value: np.ndarray, keep: np.ndarray, half: int, planes: np.ndar
                         column[2, col] += sign * row * row
                         column[3, col] += sign * value[row, col]
                         column[4, col] += sign * row * value[row, col]
-                        column[5, col] += sign * value[row, col] * value[row, col]
         if bottom < half:
             continue
         window[:] = 0.0
         for right in range(cols + half):
             for sign, col in ((1.0, right), (-1.0, right - 2 * half - 1)):
                 if 0 <= col < cols and column[0, col] > 0.0:
-                    for moment in range(6):
+                    for moment in range(5):
                         window[moment] += sign * column[moment, col]
-                    window[6] += sign * col * column[0, col]
-                    window[7] += sign * col * col * column[0, col]
-                    window[8] += sign * col * column[1, col]
-                    window[9] += sign * col * column[3, col]
-            count, y, yy, v, yv, vv = window[0], window[1], window[2], window[3], window[4], window[5]
+                    window[5] += sign * col * column[0, col]
+                    window[6] += sign * col * col * column[0, col]
+                    window[7] += sign * col * column[1, col]
+                    window[8] += sign * col * column[3, col]
+            count, y, yy, v, yv = window[0], window[1], window[2], window[3], window[4]
             if right < half or count < FEWEST_NEIGHBOURS:
                 continue
-            # About the mean of the window, and times the number of its pixels: all but those of values are whole numbers.
-            x = window[6]
-            xx, yy, xy = count * window[7] - x * x, count * yy - y * y, count * window[8] - x * y
-            xv, yv, vv = count * window[9] - x * v, count * yv - y * v, count * vv - v * v
+            # About the mean of the window, and times the number of its pixels: all but the last two are whole numbers.
+            x = window[5]
+            xx, yy, xy = count * window[6] - x * x, count * yy - y * y, count * window[7] - x * y
+            xv, yv = count * window[8] - x * v, count * yv - y * v
             determinant = xx * yy - xy * xy
             if determinant > LEAST_DETERMINANT * count * count:
-                by_col = (yy * xv - xy * yv) / determinant
-                by_row = (xx * yv - xy * xv) / determinant
-                row, col = bottom - half, right - half
-                planes[0, row, col] = by_col
-                planes[1, row, col] = by_row
-                planes[2, row, col] = (v + by_col * (count * col - x) + by_row * (count * row - y)) / count
-                planes[3, row, col] = max(vv - by_col * xv - by_row * yv, 0.0) / (count * (count - 3))
-
-
-@compiled
-def write_one_sided(
-    value: np.ndarray, keep: np.ndarray, half: int, quantum: float, planes: np.ndarray, slopes: np.ndarray
-) -> None:
-    """Write into ``slopes`` those of a window beside the pixel, wherever an edge goes through the one about it.
-
-    Of the windows that have the pixel at a border or corner the one counts that leaves least, with the pixel's own square, if
-    that is far less than what the window about the pixel leaves.
-    """
-    rows, cols = value.shape
-    for row in range(rows):
-        for col in range(cols):
-            if not planes[3, row, col] > LARGEST_LEFT * quantum**2:
-                continue
-            own = planes[2, row, col] - value[row, col] if keep[row, col] else 0.0
-            least = FAR_LESS * (planes[3, row, col] + own**2)
-            for r in (row - half, row, row + half):
-                for c in (col - half, col, col + half):
-                    if 0 <= r < rows and 0 <= c < cols:
-                        there = planes[2, r, c] + planes[0, r, c] * (col - c) + planes[1, r, c] * (row - r)
-                        own = there - value[row, col] if keep[row, col] else 0.0
-                        left = planes[3, r, c] + own**2
-                        if left < least:
-                            least = left
-                            slopes[0, row, col] = planes[0, r, c]
-                            slopes[1, row, col] = planes[1, r, c]
+                slopes[0, bottom - half, right - half] = (yy * xv - xy * yv) / determinant
+                slopes[1, bottom - half, right - half] = (xx * yv - xy * xv) / determinant
