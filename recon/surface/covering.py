@@ -6,7 +6,9 @@ outline, or where the pixel's own sound paths contradict it; such points have a 
 """
 
 from collections.abc import Iterator
+from concurrent.futures import ThreadPoolExecutor
 from dataclasses import replace
+from functools import partial
 from itertools import product
 
 import numpy as np
@@ -17,7 +19,7 @@ from recon.maps import Maps, Support
 from recon.status import PixelStatus
 from recon.surface.local_surfaces import Guess
 from recon.surface.own_paths import OwnPaths
-from recon.surface.window_guesses import NARROW_PX, WIDE_PX, guessed
+from recon.surface.window_guesses import NARROW_PX, WIDE_PX, guessed, in_parts
 
 # Why a pixel has no point though it may look at the object.
 COVERABLE = (
@@ -32,21 +34,23 @@ COVERABLE = (
 # Narrow windows are enough where a point is near; in the middle of a hole only wide ones see its other side.
 NEAR_PX = 2
 PATH_SD = 4.0
-PIXELS_AT_ONCE = 1024
 
 Mask = Bool[np.ndarray, "rows cols"]
 Whole = Int64[np.ndarray, " pixels"]
 Some = Bool[np.ndarray, " pixels"]
 
 
-def with_covered(maps: Maps, own: OwnPaths) -> Maps:
-    """Return the maps with points and normals at the pixels that the surface about them covers: status ``COVERED``."""
+def with_covered(maps: Maps, own: OwnPaths, *, threads: int = 1) -> Maps:
+    """Return the maps with points and normals at the pixels that the surface about them covers: status ``COVERED``.
+
+    So many ``threads`` share the pixels.
+    """
     point_mm, normal, status = maps.point_mm.copy(), maps.normal.copy(), maps.status.copy()
     sd_mm = maps.sd_mm.copy()
     normal_sd, across_sd, support = (
         None if each is None else each.copy() for each in (maps.normal_sd_rad, maps.across_sd_mm, maps.support)
     )
-    for row, col, told in _covered(maps, own):
+    for row, col, told in _covered(maps, own, threads=threads):
         at = (row, col)
         point_mm[at], normal[at], sd_mm[at] = told.point_mm, told.normal, np.sqrt(told.variance_mm2)
         status[at] = PixelStatus.COVERED
@@ -68,7 +72,7 @@ def with_covered(maps: Maps, own: OwnPaths) -> Maps:
     )
 
 
-def _covered(maps: Maps, own: OwnPaths) -> Iterator[tuple[Whole, Whole, Guess]]:
+def _covered(maps: Maps, own: OwnPaths, *, threads: int) -> Iterator[tuple[Whole, Whole, Guess]]:
     """Yield rows and columns of pixels that are covered, with what covers them."""
     known = maps.valid() & np.isfinite(maps.normal).all(axis=2)
     missing = np.isin(maps.status, COVERABLE)
@@ -77,15 +81,17 @@ def _covered(maps: Maps, own: OwnPaths) -> Iterator[tuple[Whole, Whole, Guess]]:
     beside = within | _near(known, 1)[row, col]
     row, col, within = row[beside], col[beside], within[beside]
     left = np.ones(len(row), dtype=bool)
-    for half_widths, asked in ((NARROW_PX, _near(known, NEAR_PX)[row, col]), (WIDE_PX, np.ones_like(left))):
-        pixels = np.flatnonzero(left & asked)
-        for low in range(0, len(pixels), PIXELS_AT_ONCE):
-            some = pixels[low : low + PIXELS_AT_ONCE]
-            here, there = row[some], col[some]
-            told, believed = guessed(maps, known, here, there, half_widths=half_widths)
-            left[some] = ~believed
-            use = believed & _possible(own, here * known.shape[1] + there, told, within[some])
-            yield here[use], there[use], told.some(use)
+
+    def ask(some: Whole, half_widths: tuple[int, ...]) -> tuple[np.ndarray, np.ndarray, Guess]:
+        here, there = row[some], col[some]
+        told, believed = guessed(maps, known, here, there, half_widths=half_widths)
+        left[some] = ~believed
+        use = believed & _possible(own, here * known.shape[1] + there, told, within[some])
+        return here[use], there[use], told.some(use)
+
+    with ThreadPoolExecutor(threads) as pool:
+        for half_widths, asked in ((NARROW_PX, _near(known, NEAR_PX)[row, col]), (WIDE_PX, np.ones_like(left))):
+            yield from pool.map(partial(ask, half_widths=half_widths), in_parts(np.flatnonzero(left & asked)))
 
 
 def _possible(own: OwnPaths, pixel: Whole, told: Guess, within: Some) -> Some:

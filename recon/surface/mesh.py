@@ -3,8 +3,10 @@
 from dataclasses import dataclass
 
 import numpy as np
-from jaxtyping import Bool, Float64, Int32
+from jaxtyping import Bool, Float64, Int32, Int64
 from scipy.ndimage import uniform_filter
+
+from recon.compiled import compiled
 
 PointMap = Float64[np.ndarray, "rows cols 3"]
 PixelMask = Bool[np.ndarray, "rows cols"]
@@ -41,9 +43,13 @@ def mesh_from_point_map(
         The pixels to use; those whose point is not finite are left out.
     """
     used = mask & np.isfinite(point_mm).all(axis=2)
-    triangles = _grid_triangles(point_mm, used, jump_ratio=jump_ratio)
-    pixels, faces = np.unique(triangles, return_inverse=True)
-    faces = faces.reshape(-1, 3).astype(np.int32)
+    triangles = _grid_triangles(np.ascontiguousarray(point_mm), used, jump_ratio=jump_ratio)
+    is_vertex = np.zeros(used.size, dtype=bool)
+    is_vertex[triangles] = True
+    pixels = np.flatnonzero(is_vertex)
+    number = np.empty(used.size, np.int32)
+    number[pixels] = np.arange(len(pixels), dtype=np.int32)
+    faces = number[triangles]
     vertices_mm = point_mm.reshape(-1, 3)[pixels]
     vertex_normal = normal.reshape(-1, 3)[pixels]
     if _opposes(vertices_mm, faces, vertex_normal):
@@ -75,53 +81,68 @@ def _face_vectors(
     return np.cross(second - first, third - first)
 
 
-def _opposes(
-    vertices_mm: Float64[np.ndarray, "vertices 3"],
-    faces: Int32[np.ndarray, "faces 3"],
-    normal: Float64[np.ndarray, "vertices 3"],
-) -> bool:
-    """Tell whether the faces wind against the normals, by area."""
-    across = _face_vectors(vertices_mm, faces)
-    return bool(np.nansum(across * normal[faces[:, 0]]) < 0)
+@compiled
+def _opposes(vertex: np.ndarray, faces: np.ndarray, normal: np.ndarray) -> bool:
+    """Tell whether the faces wind against the normals, by area; a normal that is not a number says nothing."""
+    total = 0.0
+    for face in range(len(faces)):
+        one, two, three = faces[face]
+        for k in range(3):
+            a, b = (k + 1) % 3, (k + 2) % 3
+            across = (vertex[two, a] - vertex[one, a]) * (vertex[three, b] - vertex[one, b])
+            across -= (vertex[two, b] - vertex[one, b]) * (vertex[three, a] - vertex[one, a])
+            along = across * normal[one, k]
+            total += along if abs(along) < np.inf else 0.0
+    return total < 0
 
 
-def _grid_triangles(point_mm: PointMap, used: PixelMask, *, jump_ratio: float) -> np.ndarray:
-    """Return triangles [n, 3] of pixel numbers (row-major), all with the same sense of rotation."""
-    number = np.arange(used.size, dtype=np.int64).reshape(used.shape)
+def _grid_triangles(point_mm: PointMap, used: PixelMask, *, jump_ratio: float) -> Int64[np.ndarray, "faces 3"]:
+    """Return triangles of pixel numbers (row-major), all with the same sense of rotation."""
     along = _sound_edges(point_mm, used, axis=1, jump_ratio=jump_ratio)
     down = _sound_edges(point_mm, used, axis=0, jump_ratio=jump_ratio)
-    top, bottom, left, right = along[:-1], along[1:], down[:, :-1], down[:, 1:]
-    north_west, north_east = number[:-1, :-1], number[:-1, 1:]
-    south_west, south_east = number[1:, :-1], number[1:, 1:]
-    # A triangle is sound when its two grid edges are; its third edge is then at most their sum.
-    corner = {
-        "north_west": (top & left, (north_west, south_west, north_east)),
-        "south_east": (bottom & right, (south_east, north_east, south_west)),
-        "north_east": (top & right, (north_east, north_west, south_east)),
-        "south_west": (bottom & left, (south_west, south_east, north_west)),
-    }
-    falling = np.linalg.norm(point_mm[:-1, :-1] - point_mm[1:, 1:], axis=2)
-    rising = np.linalg.norm(point_mm[:-1, 1:] - point_mm[1:, :-1], axis=2)
-    with_rising = corner["north_west"][0] & corner["south_east"][0]
-    with_falling = corner["north_east"][0] & corner["south_west"][0]
-    choose_rising = with_rising & ~(with_falling & (falling < rising))
-    choose_falling = with_falling & ~choose_rising
-    alone = ~(choose_rising | choose_falling)
-    triangles = []
-    for name, (sound, vertices) in corner.items():
-        whole = choose_rising if name in ("north_west", "south_east") else choose_falling
-        chosen = whole | (alone & sound)
-        triangles.append(np.stack([vertex[chosen] for vertex in vertices], axis=1))
-        alone &= ~sound
-    return np.concatenate(triangles)
+    chosen = np.zeros(used.shape, np.uint8)
+    _choose_corners(point_mm, along, down, chosen)
+    below = used.shape[1]
+    # The other two vertices of each corner's triangle, by how far on their pixels are, and the corner's own.
+    corners = ((0, below, 1), (below + 1, 1, below), (1, 0, below + 1), (below, below + 1, 0))
+    return np.concatenate(
+        [np.flatnonzero(chosen & (1 << corner))[:, None] + np.array(offsets) for corner, offsets in enumerate(corners)]
+    )
+
+
+@compiled
+def _choose_corners(point: np.ndarray, along: np.ndarray, down: np.ndarray, chosen: np.ndarray) -> None:
+    """Write which corners' triangles each square of pixels has, a bit each: north-west, south-east, north-east, south-west.
+
+    A corner's triangle is sound when its two grid edges are; its third edge is then at most their sum. The first two are cut
+    apart by the rising diagonal, the others by the falling one.
+    """
+    rows, cols = chosen.shape
+    for row in range(rows - 1):
+        for col in range(cols - 1):
+            top, bottom, left, right = along[row, col], along[row + 1, col], down[row, col], down[row, col + 1]
+            if top and bottom and left and right:
+                falling = rising = 0.0
+                for k in range(3):
+                    falling += (point[row, col, k] - point[row + 1, col + 1, k]) ** 2
+                    rising += (point[row, col + 1, k] - point[row + 1, col, k]) ** 2
+                chosen[row, col] = 12 if np.sqrt(falling) < np.sqrt(rising) else 3
+            elif top and left:
+                chosen[row, col] = 1
+            elif bottom and right:
+                chosen[row, col] = 2
+            elif top and right:
+                chosen[row, col] = 4
+            elif bottom and left:
+                chosen[row, col] = 8
 
 
 def _sound_edges(point_mm: PointMap, used: PixelMask, *, axis: int, jump_ratio: float) -> np.ndarray:
     """Mark the edges between neighbours along ``axis`` whose both ends are used and that span no jump."""
     first = (slice(None, -1), slice(None)) if axis == 0 else (slice(None), slice(None, -1))
     second = (slice(1, None), slice(None)) if axis == 0 else (slice(None), slice(1, None))
-    both = used[first] & used[second]
-    length_mm = np.linalg.norm(point_mm[second] - point_mm[first], axis=2)
+    both, length_mm = used[first] & used[second], np.zeros(used[first].shape)
+    _write_lengths(point_mm, both, 1 - axis, axis, length_mm)
     positive = both & (length_mm > 0)
     # The mean of logarithms over a window: a jump crosses only one row in seven of it.
     log_length = np.log(length_mm, out=np.zeros(both.shape), where=positive)
@@ -129,3 +150,15 @@ def _sound_edges(point_mm: PointMap, used: PixelMask, *, axis: int, jump_ratio: 
     total = uniform_filter(np.where(positive, log_length, 0.0), NEIGHBOURHOOD_PX, mode="constant")
     typical = np.divide(total, share, out=np.zeros(both.shape), where=share > 0.5 / NEIGHBOURHOOD_PX**2)
     return both & (~positive | (log_length <= typical + np.log(jump_ratio)))
+
+
+@compiled
+def _write_lengths(point: np.ndarray, both: np.ndarray, down: int, right: int, length: np.ndarray) -> None:
+    """Write how far each pixel's point is from that of the pixel so far down and to the right, where there are both."""
+    for row in range(both.shape[0]):
+        for col in range(both.shape[1]):
+            if both[row, col]:
+                squared = 0.0
+                for k in range(3):
+                    squared += (point[row + down, col + right, k] - point[row, col, k]) ** 2
+                length[row, col] = np.sqrt(squared)

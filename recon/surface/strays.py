@@ -4,7 +4,9 @@ An error along the plane of both light paths leaves no gap. Where a pixel at the
 bends its path there, only the points farther from the rim show it.
 """
 
+from concurrent.futures import ThreadPoolExecutor
 from dataclasses import replace
+from functools import partial
 
 import numpy as np
 from scipy.ndimage import minimum_filter
@@ -12,26 +14,27 @@ from scipy.ndimage import minimum_filter
 from recon.maps import Maps, Support
 from recon.status import PixelStatus
 from recon.surface.local_surfaces import Guess
-from recon.surface.window_guesses import NARROW_PX, WIDE_PX, Some, Whole, guessed
+from recon.surface.window_guesses import NARROW_PX, WIDE_PX, Some, Whole, guessed, in_parts
 
 # By so many sd of both a point or a normal must be off the surface through the others.
 STRAY_SD = 5.0
-PIXELS_AT_ONCE = 1024
 
 
-def without_strays(maps: Maps) -> Maps:
-    """Return the maps without such points; their status is ``STANDS_ALONE``."""
+def without_strays(maps: Maps, *, threads: int = 1) -> Maps:
+    """Return the maps without such points; their status is ``STANDS_ALONE``. So many ``threads`` share the pixels."""
     known = maps.valid() & np.isfinite(maps.normal).all(axis=2)
     trusted = minimum_filter(known, size=3, mode="nearest")
     row, col = (each.astype(np.int64) for each in np.nonzero(known & ~trusted))
     stray, left = np.zeros(len(row), dtype=bool), np.ones(len(row), dtype=bool)
-    for half_widths in (NARROW_PX, WIDE_PX):
-        pixels = np.flatnonzero(left)
-        for low in range(0, len(pixels), PIXELS_AT_ONCE):
-            some = pixels[low : low + PIXELS_AT_ONCE]
-            told, believed = guessed(maps, trusted, row[some], col[some], half_widths=half_widths)
-            left[some] = ~believed
-            stray[some] = believed & _off(maps, row[some], col[some], told)
+
+    def ask(some: Whole, half_widths: tuple[int, ...]) -> None:
+        told, believed = guessed(maps, trusted, row[some], col[some], half_widths=half_widths)
+        left[some] = ~believed
+        stray[some] = believed & _off(maps, row[some], col[some], told)
+
+    with ThreadPoolExecutor(threads) as pool:
+        for half_widths in (NARROW_PX, WIDE_PX):
+            list(pool.map(partial(ask, half_widths=half_widths), in_parts(np.flatnonzero(left))))
     lost = np.zeros(known.shape, dtype=bool)
     lost[row[stray], col[stray]] = True
     return replace(

@@ -59,7 +59,7 @@ def surface_of(
     if method == "full":
         media = {"n_liquid": manifest.n_liquid(), "n_air": manifest.n_air}
         surface = _fused_apart(maps, crossing, apart, **media, threads=threads)
-        whole = surface if own is None else with_covered(without_strays(surface), own)
+        whole = surface if own is None else with_covered(without_strays(surface, threads=threads), own, threads=threads)
         return Surface(whole, mesh_from_point_map(whole.point_mm, whole.normal, whole.with_point()))
     return integrated_surface(maps, manifest.camera)
 

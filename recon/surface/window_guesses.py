@@ -18,11 +18,18 @@ ALIKE_SD = 4.0
 # A point less sure than this many neighbours are apart, or a normal than this angle, is not worth having.
 LARGEST_SHARE = 1.0
 LARGEST_NORMAL_SD_RAD = np.radians(10.0)
+# All windows about so many pixels are small beside the maps of an object.
+PIXELS_AT_ONCE = 1024
 
 Mask = Bool[np.ndarray, "rows cols"]
 Whole = Int64[np.ndarray, " pixels"]
 Some = Bool[np.ndarray, " pixels"]
 PerPixel = Float64[np.ndarray, " pixels"]
+
+
+def in_parts(pixels: Int64[np.ndarray, " all"]) -> list[Whole]:
+    """Return the pixels in parts that are guessed at a time."""
+    return [pixels[low : low + PIXELS_AT_ONCE] for low in range(0, len(pixels), PIXELS_AT_ONCE)]
 
 
 def guessed(maps: Maps, known: Mask, row: Whole, col: Whole, *, half_widths: tuple[int, ...]) -> tuple[Guess, Some]:
