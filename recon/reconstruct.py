@@ -6,6 +6,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from jaxtyping import Bool, Float64, Int64, UInt8
 
+from recon.bands import over_bands
 from recon.geometry.beside import liquid_surface
 from recon.geometry.entry_point import EntryPoints, entry_points
 from recon.geometry.light_paths import LightPaths, light_paths
@@ -93,14 +94,21 @@ def cross_paths(
     paths, points = _crossed(by_name, manifest, method=method, threads=threads)
     route = normals_from_angles if method == "paper" else normals_from_paths
     media = {"n_liquid": manifest.n_liquid(), "n_air": manifest.n_air}
-    normal = route(paths["liquid"].direction, paths["air"].direction, **media)
+    normal, normal_sd = np.empty((len(pixels), 3)), np.empty(len(pixels))
+
+    def find_normals(band: slice) -> None:
+        liquid, air = (paths[condition].some(band) for condition in ("liquid", "air"))
+        normal[band] = route(liquid.direction, air.direction, **media)
+        normal_sd[band] = normal_sd_rad(liquid, air, **media)
+
+    over_bands(find_normals, len(pixels), threads=threads)
     crossing = Crossing(
         pixels=pixels,
         liquid=paths["liquid"],
         air=paths["air"],
         points=points,
         normal=normal,
-        normal_sd_rad=normal_sd_rad(paths["liquid"], paths["air"], **media),
+        normal_sd_rad=normal_sd,
         carried_mm2=np.zeros(len(pixels)),
         carried_rad2=np.zeros(len(pixels)),
         status=_tests(points, manifest, method=method, limits=limits),
@@ -114,6 +122,7 @@ def cross_paths(
         direction_sd_rad=_direction_sd(paths["air"], manifest, method=method),
         pixels=pixels,
         shape=(manifest.camera.rows, manifest.camera.columns),
+        threads=threads,
     )
     crossing.status[beside] = PixelStatus.BESIDE_OBJECT
     status[pixels] = crossing.status

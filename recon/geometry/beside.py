@@ -8,6 +8,7 @@ Light that left the object above the liquid meets the level as well: bent before
 Once the level is known, regions of such crossings are told by that alone.
 """
 
+from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
 
 import numpy as np
@@ -58,6 +59,7 @@ def liquid_surface(
     direction_sd_rad: Float64[np.ndarray, " pixels"],
     pixels: np.ndarray,
     shape: tuple[int, int],
+    threads: int = 1,
 ) -> Bool[np.ndarray, " pixels"]:
     """Return which of the listed ``pixels`` (flat indices into ``shape``) see the liquid's level and no surface of the object.
 
@@ -69,7 +71,7 @@ def liquid_surface(
     if manifest.camera.pose is None or len(pixels) == 0:
         return np.zeros(len(pixels), dtype=bool)
     camera_mm = np.array(manifest.camera.pose.centre_mm)
-    straight = straight_paths(air, camera_mm, direction_sd_rad, pixels=pixels, shape=shape)
+    straight = straight_paths(air, camera_mm, direction_sd_rad, pixels=pixels, shape=shape, threads=threads)
     place = np.column_stack(np.divmod(pixels, shape[1])).astype(np.float64)
     level = _level(points, (liquid, air), normal, straight, place=place)
     if level is None:
@@ -130,22 +132,26 @@ def straight_paths(
     *,
     pixels: np.ndarray,
     shape: tuple[int, int],
+    threads: int = 1,
 ) -> Bool[np.ndarray, " pixels"]:
     """Return which air paths run through the camera's centre, as unbent rays do, taken over a neighbourhood.
 
-    ``pixels`` are the flat indices into ``shape`` of the paths.
+    ``pixels`` are the flat indices into ``shape`` of the paths. So many ``threads`` share the sums over neighbourhoods.
     """
     miss = _miss(air, camera_mm)
     size = np.linalg.norm(miss, axis=1, keepdims=True)
     miss *= np.minimum(1.0, STRAY_RAD / np.maximum(size, 1e-12))
-    layers = np.column_stack([miss, np.minimum(direction_sd_rad, STRAY_RAD), np.ones(len(miss))])
-    total = np.zeros((*shape, layers.shape[1]))
-    total.reshape(-1, layers.shape[1])[pixels] = layers
-    for layer in range(layers.shape[1]):
-        total[..., layer] = uniform_filter(total[..., layer], NEIGHBOURHOOD_PX, mode="constant")
-    near = total.reshape(-1, layers.shape[1])[pixels]
-    mean = near[:, :4] / near[:, 4:]
-    return np.linalg.norm(mean[:, :3], axis=1) <= np.maximum(STRAIGHT_RAD, DIRECTION_SIGMA * mean[:, 3])
+    layers = (*miss.T, np.minimum(direction_sd_rad, STRAY_RAD), np.ones(len(miss)))
+
+    def near(layer: np.ndarray) -> np.ndarray:
+        grid = np.zeros(shape)
+        grid.ravel()[pixels] = layer
+        return uniform_filter(grid, NEIGHBOURHOOD_PX, mode="constant").ravel()[pixels]
+
+    with ThreadPoolExecutor(threads) as pool:
+        *sums, count = pool.map(near, layers)
+    x, y, z, sd = (one / count for one in sums)
+    return np.sqrt(x**2 + y**2 + z**2) <= np.maximum(STRAIGHT_RAD, DIRECTION_SIGMA * sd)
 
 
 def _miss(air: LightPaths, camera_mm: Float64[np.ndarray, " 3"]) -> Float64[np.ndarray, "pixels 3"]:

@@ -168,7 +168,7 @@ def _gap_slopes(
         moved = (lever * shifts[1] - (1 + lever) * shifts[0]) / points.gap_sd_mm[:, None, None]
         faked = []
         for paths, turned in ((liquid, np.cross(v, common) / sine), (air, np.cross(common, u) / sine)):
-            out_of_plane = np.einsum("pi,pij,pj->p", common, paths.direction_covariance(), common)
+            out_of_plane = paths.turn_variance_along(common)
             faked.append(np.sqrt(out_of_plane)[:, None] * np.einsum("pi,pim->pm", turned, moved))
     return np.einsum("pi,pim->pm", common, moved), np.stack(faked)
 

@@ -14,6 +14,7 @@ from recon.registration.session_slips import (
     Registration,
     motion_shifts,
     register,
+    sample_of,
     wet_poses,
 )
 from recon.sessions.manifest import Manifest
@@ -40,6 +41,7 @@ def registration_of(
     if inside_mask is not None:
         matched &= inside_mask.ravel()
     pixels = np.flatnonzero(matched)
+    pixels = pixels[sample_of(len(pixels))]
     by_name = {one.name: correspondences(sweeps, one, manifest, pixels) for one in manifest.sets}
     places = MeasuredPlaces(
         pixels,

@@ -89,7 +89,7 @@ def register(
     n_liquid = manifest.n_liquid()
     if len(places.pixels) < FEWEST_PIXELS:
         return None
-    sample = _sample(len(places.pixels))
+    sample = sample_of(len(places.pixels))
     columns = manifest.camera.columns
     row, column = np.divmod(places.pixels[sample], columns)
     bands = np.column_stack([row * BANDS_A_SIDE // manifest.camera.rows, column * BANDS_A_SIDE // columns])
@@ -164,7 +164,8 @@ def paths_of(
     )
 
 
-def _sample(count: int) -> np.ndarray:
+def sample_of(count: int) -> np.ndarray:
+    """Return which of so many pixels are enough to tell motions by: all, or some drawn at random, in order."""
     if count <= MOST_PIXELS:
         return np.arange(count)
     return np.sort(np.random.default_rng(SAMPLE_SEED).choice(count, MOST_PIXELS, replace=False))

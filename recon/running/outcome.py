@@ -23,11 +23,12 @@ from recon.media.liquid_index import (
 from recon.media.stated_index import provisional, stated_index, with_index
 from recon.memory import give_back_free_memory
 from recon.metrics import LiquidIndexRecord, RegistrationRecord, Statistic
-from recon.reconstruct import Crossing, cross_paths, maps_before_surface, maps_of, without_spots
+from recon.reconstruct import cross_paths, maps_before_surface, maps_of, without_spots
 from recon.registration.gap_fit import MotionCovariance
 from recon.registration.known_slips import known_slips
 from recon.registration.registration_stage import record_of, registration_of, with_carried
 from recon.registration.session_slips import Registration, registered
+from recon.running.map_statistics import map_statistics
 from recon.running.object_part import ObjectPart
 from recon.running.settings import Settings
 from recon.sessions.manifest import Manifest
@@ -41,7 +42,7 @@ from recon.surface.surface_stage import surface_of
 from recon.surface.thin_stage import thin_object
 from recon.sweeps.correspondence import SweepResult
 from recon.sweeps.set_places import path_count
-from recon.verdict import gap_ratio, statistic
+from recon.verdict import gap_ratio
 
 PathCounts = UInt8[np.ndarray, "rows cols"]
 
@@ -100,7 +101,7 @@ def reconstruct_taking(
         thin = thin_object(sweeps, manifest, method=settings.method, inside_mask=mask, integration=settings.integration)
         maps = _with_path_count(thin.maps, _path_count(sweeps, settings))
         mesh, doubt = drawn_mesh(thin.mesh)
-        return Outcome(maps, mesh, None, _statistics(maps, None), (*thin.warnings, *doubt))
+        return Outcome(maps, mesh, None, map_statistics(maps, None), (*thin.warnings, *doubt))
     paths = _path_count(sweeps, settings)
     part = ObjectPart.of(sweeps, manifest, inside_mask=mask)
     sweeps.clear()
@@ -143,7 +144,6 @@ def _reconstruct(
         crossed = np.isin(crossing.status, (PixelStatus.OK, PixelStatus.GAP_TOO_LARGE))
         ratio = gap_ratio(crossing.points.gap_mm[crossed], crossing.points.gap_sd_mm[crossed])
         part.let_places_go()
-    if settings.method == "full":
         maps = maps_before_surface(status, crossing, shape=shape)
     else:
         maps = maps_of(status, crossing, shape=shape, method=settings.method)
@@ -168,7 +168,7 @@ def _reconstruct(
         surface.maps,
         mesh,
         ratio,
-        _statistics(surface.maps, crossing),
+        map_statistics(surface.maps, crossing),
         (
             *told,
             *index_sentences(index),
@@ -219,46 +219,6 @@ def _path_count(sweeps: Mapping[tuple[str, str], SweepResult], settings: Setting
 
 def _with_path_count(maps: Maps, paths: PathCounts | None) -> Maps:
     return maps if paths is None else replace(maps, path_count=paths)
-
-
-def _statistics(maps: Maps, crossing: Crossing | None) -> tuple[Statistic, ...]:
-    valid = maps.valid()
-    found = [
-        statistic(
-            "gap", "mm", np.abs(maps.gap_mm[valid]), how="length of the shortest segment between the two light paths"
-        ),
-        statistic(
-            "sd",
-            "mm",
-            maps.sd_mm[valid],
-            how="root of the trace of each point's covariance, from the photos' own noise and the registration",
-        ),
-        statistic(
-            "PBC angle",
-            "deg",
-            np.degrees(maps.pbc_angle_rad[valid]),
-            how="angle between the paths in liquid and in air",
-        ),
-    ]
-    if maps.normal_sd_rad is not None:
-        found.append(
-            statistic(
-                "normal sd",
-                "deg",
-                np.degrees(maps.normal_sd_rad[valid]),
-                how="root of the summed variances of the normal's two tilts, from the photos' own noise and the registration",
-            )
-        )
-    if crossing is not None and np.isfinite(maps.sd_mm[valid]).any():
-        fine = crossing.status == PixelStatus.OK
-        with np.errstate(divide="ignore", invalid="ignore"):
-            normalised = np.abs(crossing.points.gap_mm[fine]) / crossing.points.gap_sd_mm[fine]
-        found.append(
-            statistic(
-                "normalised gap", "sd", normalised, how="gap over the sd that noise alone gives it; its rms is about 1"
-            )
-        )
-    return tuple(one for one in found if one is not None)
 
 
 def _covered_sentences(maps: Maps) -> tuple[str, ...]:

@@ -15,6 +15,7 @@ from scipy.sparse import csr_array
 from recon.surface import block_loops
 from recon.surface.block_loops import COLUMNS
 from recon.surface.multigrid import Multigrid
+from recon.surface.sparse_product import rows_of
 
 Block = Float32[np.ndarray, "unknowns columns"]
 
@@ -33,7 +34,7 @@ def solved_block(
     ``weight`` is how much an equation counts in that: one over its diagonal.
     """
     assert right.shape[1] == COLUMNS
-    rows = (matrix.indptr, matrix.indices, matrix.data)
+    rows = rows_of(matrix)
     residual = right.astype(np.float64)
     search = np.zeros_like(residual)
     solution, along = np.zeros_like(right), np.zeros_like(right)
@@ -96,8 +97,7 @@ class _Cycle:
         if depth == len(self.multigrid.levels):
             return cho_solve(self.multigrid.coarsest, right.astype(np.float64), check_finite=False).astype(np.float32)
         level, solution, left = self.multigrid.levels[depth], self.solutions[depth], self.left[depth]
-        rows = (level.matrix.indptr, level.matrix.indices, level.matrix.data)
-        up = (level.up.indptr, level.up.indices, level.up.data)
+        rows, up = level.rows(), level.up_rows()
         block_loops.descend(*rows, right, solution, left)
         block_loops.restrict(*up, left, self.rights[depth + 1])
         block_loops.prolong(*up, self._from(depth + 1), solution)

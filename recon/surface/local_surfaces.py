@@ -50,12 +50,11 @@ def guess_from(
     point, normal, centre = (np.zeros((len(row), 3)) for _ in range(3))
     variances = np.full((3, len(row)), np.inf)
     unknown = np.zeros(known.shape, np.float32)
-    sds: list[np.ndarray] = [
-        unknown if sd is None else sd for sd in (maps.sd_mm, maps.across_sd_mm, maps.normal_sd_rad)
-    ]
+    across_sd = unknown if maps.across_sd_mm is None else maps.across_sd_mm
+    normal_sd = unknown if maps.normal_sd_rad is None else maps.normal_sd_rad
     _write_guesses(
         half_width,
-        *(maps.point_mm, maps.normal, *sds),
+        *(maps.point_mm, maps.normal, maps.sd_mm, across_sd, normal_sd),
         *(known, row, col, centre_row, centre_col),
         *(point, normal, centre, variances),
     )

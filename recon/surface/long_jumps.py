@@ -5,6 +5,8 @@ changes its level there, in pixel after pixel. A level on each side of an edge, 
 is left over a window that the edge halves; chance would make the two levels as different as asked once in the largest photos.
 """
 
+from concurrent.futures import ThreadPoolExecutor
+
 import cv2
 import numpy as np
 from jaxtyping import Bool, Float64
@@ -28,7 +30,7 @@ Map = Float64[np.ndarray, "rows cols"]
 Mask = Bool[np.ndarray, "rows cols"]
 
 
-def long_jumps(left_mm: Map, precision: Map) -> tuple[Map, Map]:
+def long_jumps(left_mm: Map, precision: Map, *, threads: int = 1) -> tuple[Map, Map]:
     """Return by how many sd the depth jumps from pixels to their right-hand and lower neighbours; 0 where it does not.
 
     NaN where an edge between columns moves from one row to the next, or the other way round: neighbours tell of such a pair.
@@ -39,13 +41,19 @@ def long_jumps(left_mm: Map, precision: Map) -> tuple[Map, Map]:
         Measured distances less those of a surface through all of them.
     precision
         One over the variance of each measured distance; 0 where there is none.
+    threads
+        With more than one, edges between columns and edges between rows are sought at the same time.
     """
-    across, down = levels(left_mm, precision), levels(left_mm.T, precision.T).T
+    with ThreadPoolExecutor(min(threads, 2)) as pool:
+        across, down = pool.map(levels, (left_mm, left_mm.T), (precision, precision.T))
+    down = down.T
     both = np.abs(np.concatenate([across.ravel(), down.ravel()]))
     both = both[both > 0]
     # Neither standard deviations that promise too much nor errors that neighbours share are a reason to cut.
     scale = max(1.0, float(np.quantile(both, TAIL)) / TAIL_SD) if len(both) else 1.0
-    right, below = _edges(across / scale), _edges(down.T / scale).T
+    with ThreadPoolExecutor(min(threads, 2)) as pool:
+        right, below = pool.map(_edges, (across / scale, down.T / scale))
+    below = below.T
     found = []
     for edge, level, stairs in ((right, across, _stairs(below.T).T), (below, down, _stairs(right))):
         size = np.maximum(np.abs(level) / scale, np.finfo(float).tiny)

@@ -9,11 +9,12 @@ from dataclasses import dataclass
 
 import numpy as np
 from jaxtyping import Float64
-from pyamg import amg_core
 from scipy.linalg import cho_factor, cho_solve
 from scipy.sparse import csr_array
 
+from recon.surface import vector_loops
 from recon.surface.prolongation import prolongation
+from recon.surface.sparse_product import product, rows_of
 
 COARSEST_UNKNOWNS = 300
 MOST_LEVELS = 12
@@ -29,6 +30,14 @@ class _Level:
     down: csr_array
     up: csr_array
 
+    def rows(self) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+        """Return the matrix as compiled loops read it."""
+        return rows_of(self.matrix)
+
+    def up_rows(self) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+        """Return the way up likewise."""
+        return rows_of(self.up)
+
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Multigrid:
@@ -38,8 +47,8 @@ class Multigrid:
     coarsest: tuple[np.ndarray, bool]
 
     @classmethod
-    def of(cls, matrix: csr_array) -> "Multigrid":
-        """Coarsen until a system is small enough to be factorised."""
+    def of(cls, matrix: csr_array, *, threads: int = 1) -> "Multigrid":
+        """Coarsen until a system is small enough to be factorised; so many ``threads`` share it."""
         levels: list[_Level] = []
         exact = matrix
         while exact.shape[0] > COARSEST_UNKNOWNS and len(levels) < MOST_LEVELS:
@@ -47,10 +56,10 @@ class Multigrid:
             if not 0 < up.shape[1] < exact.shape[0]:
                 break
             down = up.T.tocsr()
-            levels.append(_Level(*(one.astype(np.float32) for one in (exact, down, up))))
+            levels.append(_Level(_single(exact), _single(down), _single(up)))
             # A part of a surface whose distance is hardly known beside its shape is nearly singular: coarse systems made in
             # single precision would not be definite.
-            exact = (down @ (exact @ up)).tocsr()
+            exact = product(down, product(exact, up, threads=threads), threads=threads)
         dense = exact.toarray()
         # Unknowns that nothing joins are solved by the sweeps alone; where all are such, the one coarse unknown is that of none.
         alone = np.flatnonzero(dense.diagonal() == 0)
@@ -68,16 +77,15 @@ class Multigrid:
     def _cycle(self, depth: int, right: np.ndarray) -> np.ndarray:
         if depth == len(self.levels):
             return cho_solve(self.coarsest, right.astype(np.float64), check_finite=False).astype(np.float32)
-        level = self.levels[depth]
-        matrix, solution = level.matrix, np.zeros_like(right)
-        _sweep(matrix, solution, right, forward=True)
-        solution += level.up @ self._cycle(depth + 1, level.down @ (right - matrix @ solution))
-        _sweep(matrix, solution, right, forward=False)
+        level, solution, left = self.levels[depth], np.empty_like(right), np.empty_like(right)
+        vector_loops.descend(*level.rows(), right, solution, left)
+        coarse = np.zeros(level.up.shape[1], np.float32)
+        vector_loops.add_product(*rows_of(level.down), left, coarse)
+        vector_loops.add_product(*level.up_rows(), self._cycle(depth + 1, coarse), solution)
+        vector_loops.ascend(*level.rows(), right, solution)
         return solution
 
 
-def _sweep(matrix: csr_array, solution: np.ndarray, right: np.ndarray, *, forward: bool) -> None:
-    """Sweep once through the unknowns (Gauss and Seidel), in place."""
-    last = len(solution)
-    ends = (0, last, 1) if forward else (last - 1, -1, -1)
-    amg_core.gauss_seidel(matrix.indptr, matrix.indices, matrix.data, solution, right, *ends)
+def _single(matrix: csr_array) -> csr_array:
+    """Return a matrix in single precision, which shares its pattern."""
+    return csr_array((matrix.data.astype(np.float32), matrix.indices, matrix.indptr), shape=matrix.shape)

@@ -57,10 +57,13 @@ def sheets_of(chords: Chords, graph: Neighbours, rays: Rays) -> Sheets:
     return Sheets(jump=apart & ~outlier[graph.first] & ~outlier[graph.second], outlier=outlier)
 
 
-def with_long_jumps(sheets: Sheets, graph: Neighbours, rays: Rays, distance: PerPixel) -> Sheets:
-    """Part the sheets further along edges that show only all together: the distances leave jumps of a surface at ``distance``."""
+def with_long_jumps(sheets: Sheets, graph: Neighbours, rays: Rays, distance: PerPixel, *, threads: int = 1) -> Sheets:
+    """Part the sheets further along edges that show only all together: the distances leave jumps of a surface at ``distance``.
+
+    With several ``threads``, edges between columns and edges between rows are sought at the same time.
+    """
     left_mm, precision = graph.on_grid(rays.measured_mm - distance), graph.on_grid(rays.precision)
-    right, below = long_jumps(np.nan_to_num(left_mm), np.nan_to_num(precision))
+    right, below = long_jumps(np.nan_to_num(left_mm), np.nan_to_num(precision), threads=threads)
     along, down = graph.mask[:, :-1] & graph.mask[:, 1:], graph.mask[:-1] & graph.mask[1:]
     size_sd = np.concatenate([right[:, :-1][along], below[:-1][down]])
     new = (size_sd != 0) & ~sheets.jump

@@ -7,9 +7,12 @@ from jaxtyping import Float64
 from scipy.sparse import csr_array
 from scipy.sparse.linalg import splu
 
+from recon.bands import over_bands
 from recon.errors import ReconError
+from recon.surface import vector_loops
 from recon.surface.block_solver import Block, solved_block
 from recon.surface.multigrid import Multigrid
+from recon.surface.sparse_product import rows_of
 
 RELATIVE_TOLERANCE = 1e-8
 MOST_ITERATIONS = 500
@@ -26,10 +29,14 @@ class SolverError(ReconError):
 
 
 class SparseSolver:
-    """Solves systems with one pattern, whose weights change little from one to the next: their multigrid is made once."""
+    """Solves systems with one pattern, whose weights change little from one to the next: their multigrid is made once.
 
-    def __init__(self) -> None:
+    So many ``threads`` share the products of matrices and vectors; the result is the same.
+    """
+
+    def __init__(self, *, threads: int = 1) -> None:
         self._multigrid: Multigrid | None = None
+        self._threads = threads
 
     def solver(
         self, matrix: csr_array, *, relative_tolerance: float = RELATIVE_TOLERANCE, error_sd: float = 0.0
@@ -49,9 +56,9 @@ class SparseSolver:
         def solve(right: Vector, guess: Vector) -> Vector:
             inherited = self._multigrid is not None
             if self._multigrid is None:
-                self._multigrid = Multigrid.of(matrix)
+                self._multigrid = Multigrid.of(matrix, threads=self._threads)
             steps = MOST_WITH_OTHER_WEIGHTS if inherited else MOST_ITERATIONS
-            tolerance = relative_tolerance * _size(right, inverse_diagonal)
+            tolerance = relative_tolerance * np.sqrt(_square(right, inverse_diagonal))
             found, converged = _conjugate_gradients(
                 matrix,
                 right,
@@ -61,9 +68,10 @@ class SparseSolver:
                 tolerance=tolerance,
                 error_sd=error_sd,
                 steps=steps,
+                threads=self._threads,
             )
             if not converged and inherited:
-                self._multigrid = Multigrid.of(matrix)
+                self._multigrid = Multigrid.of(matrix, threads=self._threads)
                 found, converged = _conjugate_gradients(
                     matrix,
                     right,
@@ -73,6 +81,7 @@ class SparseSolver:
                     tolerance=tolerance,
                     error_sd=error_sd,
                     steps=MOST_ITERATIONS,
+                    threads=self._threads,
                 )
             if not converged:
                 raise SolverError(
@@ -85,10 +94,10 @@ class SparseSolver:
 
 
 def solver(
-    matrix: csr_array, *, relative_tolerance: float = RELATIVE_TOLERANCE, error_sd: float = 0.0
+    matrix: csr_array, *, relative_tolerance: float = RELATIVE_TOLERANCE, error_sd: float = 0.0, threads: int = 1
 ) -> Callable[[Vector, Vector], Vector]:
     """Prepare to solve one system, as :meth:`SparseSolver.solver` does."""
-    return SparseSolver().solver(matrix, relative_tolerance=relative_tolerance, error_sd=error_sd)
+    return SparseSolver(threads=threads).solver(matrix, relative_tolerance=relative_tolerance, error_sd=error_sd)
 
 
 def block_solver(matrix: csr_array, *, relative_tolerance: float) -> Callable[[Block], Block]:
@@ -124,6 +133,7 @@ def _conjugate_gradients(
     tolerance: float,
     error_sd: float,
     steps: int,
+    threads: int,
 ) -> tuple[Vector, bool]:
     """Return the solution, and whether its residual fell to ``tolerance`` (Hestenes and Stiefel 1952, preconditioned).
 
@@ -133,32 +143,37 @@ def _conjugate_gradients(
     if not right.any():
         return np.zeros_like(right), True
     solution = guess.copy()
-    residual = right - matrix @ solution
-    search, product = np.zeros_like(right), 1.0
+    residual = right - _product(matrix, solution, threads=threads)
+    search, product, squares = np.zeros_like(right), 1.0, _square(residual, inverse_diagonal)
     for _ in range(steps):
-        if _size(residual, inverse_diagonal) <= tolerance:
+        if squares <= tolerance**2:
             return solution, True
         upward = multigrid.cycle(residual)
-        before, product = product, _dot(residual, upward)
+        before, product = product, vector_loops.dot_product(residual, upward)
         if 0 <= product <= error_sd**2:
             return solution, True
-        search = upward + (product / before) * search
-        along = matrix @ search
-        length = product / _dot(search, along)
+        vector_loops.turn(product / before, upward, search)
+        along = _product(matrix, search, threads=threads)
+        length = product / vector_loops.dot_product(search, along)
         if not np.isfinite(length):
             return solution, False
-        solution += length * search
-        residual -= length * along
-    return solution, _size(residual, inverse_diagonal) <= tolerance
+        squares = vector_loops.step(length, search, along, inverse_diagonal, solution, residual)
+    return solution, bool(squares <= tolerance**2)
 
 
-def _dot(first: Vector, second: Vector) -> float:
-    # Not BLAS, whose threads wait for each other on a machine that does other work as well.
-    return float(np.einsum("i,i->", first, second))
+def _product(matrix: csr_array, vector: Vector, *, threads: int) -> Vector:
+    rows, result = rows_of(matrix), np.empty_like(vector)
+
+    def write(band: slice) -> None:
+        vector_loops.multiply(*rows, vector, band.start, band.stop, result)
+
+    over_bands(write, len(vector), threads=threads)
+    return result
 
 
-def _size(residual: Vector, inverse_diagonal: Vector) -> float:
-    return float(np.sqrt(np.einsum("i,i,i->", residual, residual, inverse_diagonal)))
+def _square(residual: Vector, inverse_diagonal: Vector) -> float:
+    """Return the square of a residual's size on a unit diagonal. Not by BLAS, whose threads wait for those of other work."""
+    return float(np.einsum("i,i,i->", residual, residual, inverse_diagonal))
 
 
 def _direct(matrix: csr_array) -> Callable[[Vector, Vector], Vector]:

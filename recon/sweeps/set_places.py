@@ -1,11 +1,12 @@
 """The two sweeps of a set joined: where each pixel looks on the display, by the path with more light and by the other."""
 
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
 import numpy as np
 from jaxtyping import Bool, Float64, Int, UInt8
 
+from recon.compiled import compiled
 from recon.patterns.sweep_frames import screen_mm
 from recon.sessions.manifest import Axis, CaptureSet, Manifest
 from recon.status import PixelStatus
@@ -18,6 +19,10 @@ SWEEP_REASONS = (
     PixelStatus.BAD_CODE,
     PixelStatus.BAD_FIT,
     PixelStatus.SWEEP_EDGE,
+)
+# Compiled loops know numbers alone.
+OK, UNLIT, HALF_SEEN, PARTLY_LIT = (
+    np.uint8(one) for one in (PixelStatus.OK, PixelStatus.UNLIT, PixelStatus.HALF_SEEN, PixelStatus.PARTLY_LIT)
 )
 AXES: tuple[Axis, Axis] = ("x", "y")
 # What is made of so many pixels is small beside the maps of a large photo.
@@ -93,29 +98,32 @@ def _lesser(sweep: SweepResult, pixels: Pixels) -> tuple[np.ndarray, np.ndarray]
 
 def combined_status(sweeps: SweepResults, sets: Sequence[CaptureSet]) -> UInt8[np.ndarray, " pixels"]:
     """Return OK where every one of the sets has one correspondence, and otherwise the reason that explains most."""
-    by_set = [[sweeps[one.name, axis].status.ravel() for axis in AXES] for one in sets]
-    status = np.empty(by_set[0][0].size, dtype=np.uint8)
+    every = [sweeps[one.name, axis].status.ravel() for one in sets for axis in AXES]
+    rank = np.zeros(256, np.int64)
+    rank[list(SWEEP_REASONS)] = np.arange(1, len(SWEEP_REASONS) + 1)
+    status = np.empty(every[0].size, dtype=np.uint8)
     for low in range(0, len(status), PIXELS_AT_ONCE):
         part = slice(low, low + PIXELS_AT_ONCE)
-        status[part] = _combined([_agreed(np.stack([x[part], y[part]])) for x, y in by_set])
+        _combine(np.stack([one[part] for one in every]), rank, status[part])
     return status
 
 
-def _combined(by_set: Iterable[UInt8[np.ndarray, "2 pixels"]]) -> UInt8[np.ndarray, " pixels"]:
-    every = np.concatenate(list(by_set))
-    unlit = every == PixelStatus.UNLIT
-    status = np.full(every.shape[1], PixelStatus.OK, dtype=np.uint8)
-    for reason in SWEEP_REASONS:
-        status[(every == reason).any(axis=0)] = reason
-    status[unlit.any(axis=0)] = PixelStatus.PARTLY_LIT
-    status[unlit.all(axis=0)] = PixelStatus.UNLIT
-    return status
+@compiled
+def _combine(every: np.ndarray, rank: np.ndarray, status: np.ndarray) -> None:
+    """Write what the sweeps of all sets say together, two of ``every`` a set; a higher ``rank`` explains more, 0 nothing.
 
-
-def _agreed(status: UInt8[np.ndarray, "2 pixels"]) -> UInt8[np.ndarray, "2 pixels"]:
-    """Take a pixel for half seen where both sweeps of the set say so: they measure the same light."""
-    half = status == PixelStatus.HALF_SEEN
-    return np.where(half & ~half.all(axis=0), np.uint8(PixelStatus.OK), status)
+    A pixel is half seen where both sweeps of a set say so: they measure the same light.
+    """
+    for pixel in range(len(status)):
+        most, reason, unlit = 0, OK, 0
+        for sweep in range(len(every)):
+            one = every[sweep, pixel]
+            unlit += one == UNLIT
+            if rank[one] > most and (one != HALF_SEEN or every[sweep ^ 1, pixel] == HALF_SEEN):
+                most, reason = rank[one], one
+        if unlit > 0:
+            reason = UNLIT if unlit == len(every) else PARTLY_LIT
+        status[pixel] = reason
 
 
 def path_count(sweeps: SweepResults) -> UInt8[np.ndarray, "rows cols"]:

@@ -6,7 +6,8 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from known_surface import DISTANCE_MM, RADIUS_MM, Scene, plane, rms, sphere
 
-from recon.surface.fusion import LOSS_WIDTH_SD, fuse_on_rays
+from recon.surface.fusion import fuse_on_rays
+from recon.surface.fusion_rounds import LOSS_WIDTH_SD
 
 
 def test_exact_measurements_stay_as_they_are() -> None:
