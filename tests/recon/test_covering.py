@@ -127,3 +127,14 @@ def test_a_point_at_the_rim_that_the_points_within_contradict_is_taken_out_and_n
     sound.point_mm[row, col, 0] += 10 * SD_MM
     found = without_strays(sound).status != sound.status
     assert np.argwhere(found).tolist() == [[row, col]]
+
+
+def test_threads_change_nothing_of_what_is_taken_out_and_covered() -> None:
+    hole = (ROW - 20) ** 2 + (COL - 20) ** 2 < 9
+    alone, shared = (
+        with_covered(without_strays(sphere(hole), threads=threads), paths_of(NOTHING), threads=threads)
+        for threads in (1, 2)
+    )
+    assert (alone.status == PixelStatus.COVERED).any()
+    assert np.array_equal(alone.status, shared.status)
+    assert np.array_equal(alone.point_mm, shared.point_mm, equal_nan=True)

@@ -8,6 +8,7 @@ from recon.surface import sparse_solver
 from recon.surface.block_solver import solved_block
 from recon.surface.multigrid import Multigrid
 from recon.surface.neighbours import neighbours_of, normal_equations
+from recon.surface.sparse_product import product, rows_of
 from recon.surface.sparse_solver import SolverError, solver
 
 
@@ -92,3 +93,21 @@ def test_long_waves_of_several_right_sides_are_found_though_single_precision_can
     )
     assert converged
     assert np.abs(found - solutions).max() < 0.01
+
+
+@pytest.mark.parametrize("threads", [1, 3])
+def test_a_product_of_sparse_matrices_is_that_of_whole_ones_whatever_the_threads(threads: int) -> None:
+    rng = np.random.default_rng(7)
+    one, other = (
+        csr_array(np.where(rng.random(shape) < 0.1, rng.standard_normal(shape), 0.0)) for shape in ((90, 70), (70, 40))
+    )
+    found = product(one, other, threads=threads)
+    assert np.allclose(found.toarray(), one.toarray() @ other.toarray(), atol=1e-14)
+    alone = product(one, other)
+    assert all(np.array_equal(a, b) for a, b in zip(rows_of(found), rows_of(alone), strict=True))
+
+
+def test_threads_change_no_bit_of_a_solution() -> None:
+    matrix, right, _ = system(100)
+    alone, shared = (solver(matrix, threads=threads)(right, np.zeros_like(right)) for threads in (1, 2))
+    assert np.array_equal(alone, shared)
