@@ -17,6 +17,7 @@ from recon.surface.block_loops import COLUMNS
 from recon.surface.block_solver import Block
 from recon.surface.neighbours import Neighbours
 from recon.surface.ray_chords import Chords, Mask, PerPair, PerPixel, Rays, ScalarMap
+from recon.surface.steady_pulls import Pulls
 
 # Standard deviations are estimated from this many draws over this window: good to a tenth or better.
 DRAWS = 3 * COLUMNS
@@ -39,6 +40,7 @@ NoiseAt = Callable[[ScalarMap, Mask], NoiseDraw]
 def drawn_errors(
     graph: Neighbours,
     chords: Chords,
+    pulls: Pulls,
     prepared: Callable[[], Callable[[Block], Block]],
     noise: NoiseDraw,
     *,
@@ -90,7 +92,7 @@ def drawn_errors(
                     slides[axis, first + column].reshape(-1)[places] = slide @ across[axis].astype(np.float32)
                 _write_right_side(
                     *(graph.first, graph.second, bend.before, bend.after),
-                    *(chords.chord_mm, chords.at_first, chords.at_second, bend.per_squared, bend.factor),
+                    *(chords.chord_mm, pulls.at_first, pulls.at_second, bend.per_squared, bend.factor),
                     *(*weights, distance_error, normal_error),
                     *scales,
                     *(turned, own, right[:, column], turned_squared),

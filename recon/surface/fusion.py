@@ -111,6 +111,7 @@ def fuse_on_rays(
         errors, slides, turned_squared = drawn_errors(
             graph,
             solved.chords,
+            solved.pulls,
             partial(block_solver, solved.system.matrix, relative_tolerance=DRAW_TOLERANCE),
             solved.noise,
             across=solved.sight_frame[:2],

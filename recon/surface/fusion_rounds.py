@@ -26,6 +26,7 @@ from recon.surface.ray_chords import (
 )
 from recon.surface.sheets import NORMAL_CONSISTENT_MAD, Sheets, contradiction, sheets_of, with_long_jumps
 from recon.surface.sparse_solver import solver
+from recon.surface.steady_pulls import Pulls
 
 # Geman and McClure's loss (1987) with this width keeps 95 % of the efficiency of least squares for Gaussian noise.
 LOSS_WIDTH_SD = 3.787
@@ -63,6 +64,7 @@ class Solved:
 
     distance: PerPixel
     chords: Chords
+    pulls: Pulls
     system: System
     noise: NoiseDraw
     sight_frame: Float64[np.ndarray, "3 3"]
@@ -82,12 +84,13 @@ def solve_in_rounds(
     threads: int,
 ) -> Solved:
     """Weigh and solve the equations, a round at a time; ``maps`` are those of :func:`~recon.surface.fusion.fuse_on_rays`."""
-    distance_mm, distance_sd_mm = maps[2:4]
+    _, direction, distance_mm, distance_sd_mm, normal, normal_sd_rad = maps
     beyond = pairs_beyond(graph)
     rays = rays_of(*maps, graph.mask)
     sheets = sheets_of(chords_of(rays, graph, beyond, rays.measured_mm, threads=threads), graph, rays)
     distance = _first_guess(rays, graph, sheets)
     chords = chords_of(rays, graph, beyond, distance, threads=threads)
+    pulls = Pulls.of(graph, direction, normal, normal_sd_rad)
     pairs = _cut(_reweighted(contradiction(chords, graph, rays, distance)), sheets)
     positions = _position_weights(rays, distance)
     for number in range(rounds if graph.pixels else 0):
@@ -95,7 +98,8 @@ def solve_in_rounds(
             graph,
             rays,
             chords,
-            _system(graph, rays, chords, pairs, positions),
+            pulls,
+            _system(graph, rays, chords, pulls, pairs, positions),
             distance,
             error_sd=ERROR_SD if number == rounds - 1 else ROUND_ERROR_SD,
             threads=threads,
@@ -116,7 +120,8 @@ def solve_in_rounds(
     return Solved(
         distance=distance,
         chords=chords,
-        system=_system(graph, rays, chords, pairs, positions),
+        pulls=pulls,
+        system=_system(graph, rays, chords, pulls, pairs, positions),
         noise=independent_noise(rays) if noise is None else noise(graph.on_grid(distance), graph.mask),
         sight_frame=frame_along(sight / np.linalg.norm(sight)),
         outlier=sheets.outlier,
@@ -142,31 +147,37 @@ def _first_guess(rays: Rays, graph: Neighbours, sheets: Sheets) -> PerPixel:
     return np.where(sound & bends, rays.measured_mm, median)
 
 
-def _system(graph: Neighbours, rays: Rays, chords: Chords, pairs: _Weights, positions: _Weights) -> System:
+def _system(
+    graph: Neighbours, rays: Rays, chords: Chords, pulls: Pulls, pairs: _Weights, positions: _Weights
+) -> System:
     weight = pairs.weight / (pairs.scale**2 * chords.variance)
     own = positions.weight * rays.precision / positions.scale**2
-    return System(normal_equations(graph, chords.at_first, chords.at_second, weight, own), weight, own)
+    return System(normal_equations(graph, pulls.at_first, pulls.at_second, weight, own), weight, own)
 
 
-def _gather(graph: Neighbours, chords: Chords, per_chord: PerPair, per_pixel: PerPixel) -> PerPixel:
+def _gather(graph: Neighbours, pulls: Pulls, per_chord: PerPair, per_pixel: PerPixel) -> PerPixel:
     """Return Jᵀ applied to one value a chord and one a measured distance."""
-    total = per_pixel + np.bincount(graph.first, chords.at_first * per_chord, minlength=graph.pixels)
-    return total + np.bincount(graph.second, chords.at_second * per_chord, minlength=graph.pixels)
+    total = per_pixel + np.bincount(graph.first, pulls.at_first * per_chord, minlength=graph.pixels)
+    return total + np.bincount(graph.second, pulls.at_second * per_chord, minlength=graph.pixels)
 
 
 def _solve(
     graph: Neighbours,
     rays: Rays,
     chords: Chords,
+    pulls: Pulls,
     system: System,
     guess: PerPixel,
     *,
     error_sd: float,
     threads: int,
 ) -> PerPixel:
-    """Minimise Σ weight · residual² / variance over chords and measured distances, by a correction to ``guess``."""
+    """Correct ``guess`` towards where the pulls of chords and measured distances, each by its weight, cancel.
+
+    With exact factors that is the least Σ weight · residual² / variance.
+    """
     chord_pull = -system.chord_weight * chords.residual(graph, guess)
-    right = _gather(graph, chords, chord_pull, system.own_weight * (rays.measured_mm - guess))
+    right = _gather(graph, pulls, chord_pull, system.own_weight * (rays.measured_mm - guess))
     # Weights change by decades where a measurement is found to be wrong: a multigrid of the last round's would not see it.
     solve = solver(system.matrix, error_sd=error_sd, threads=threads)
     return guess + solve(right, np.zeros_like(guess))

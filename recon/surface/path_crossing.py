@@ -77,12 +77,17 @@ class PathCrossing:
         """
         return np.linalg.norm(self.mean_cross, axis=1) > angle_sigma * self.mean_sd
 
-    def measured_near(self, distance_mm: PerPath, *, threads: int = 1) -> tuple[PerPath, PerPath]:
+    def measured_near(
+        self, distance_mm: PerPath, *, levers_mm: tuple[PerPath, PerPath] | None = None, threads: int = 1
+    ) -> tuple[PerPath, PerPath]:
         """Return the distance along the liquid path that each crossing tells, and its sd, for a surface near ``distance_mm``.
 
         At that distance the air path passes the liquid path within the mean plane of both; by the mean angle, that many mm are
-        still to go. This is linear in the paths' noise, which therefore does not bias it. So many ``threads`` share the pixels.
+        still to go. This is linear in the paths' noise, which therefore does not bias it. The sd grows with how far the surface
+        is on both paths: ``levers_mm``, without the pixels' own noise, since a noisy path meets a surface at another distance,
+        and its crossing would be weighed by its own error. So many ``threads`` share the pixels.
         """
+        lever_mm, lever_air_mm = (distance_mm, self.along_air(distance_mm)) if levers_mm is None else levers_mm
         noises = [noise for paths in (self.liquid, self.air) for noise in (paths.near_noise, paths.far_noise)]
         axes = np.stack([noise.axes for noise in noises])
         told_mm, sd_mm = np.empty(len(distance_mm)), np.empty(len(distance_mm))
@@ -93,7 +98,7 @@ class PathCrossing:
                 *(liquid.near_mm, liquid.direction, liquid.baseline_mm, air.near_mm, air.direction, air.baseline_mm),
                 *(self.mean_cross[band], axes),
                 *(liquid.near_noise.sd_mm, liquid.far_noise.sd_mm, air.near_noise.sd_mm, air.far_noise.sd_mm),
-                *(distance_mm[band], told_mm[band], sd_mm[band]),
+                *(distance_mm[band], lever_mm[band], lever_air_mm[band], told_mm[band], sd_mm[band]),
             )
 
         over_bands(write, len(distance_mm), threads=threads)
@@ -119,16 +124,17 @@ def _write_measured(
     near_air_sd: np.ndarray,
     far_air_sd: np.ndarray,
     distance: np.ndarray,
+    far: np.ndarray,
+    far_air: np.ndarray,
     told: np.ndarray,
     sd: np.ndarray,
 ) -> None:
     """Write what each crossing tells near a distance, and its standard deviation; not a number where no mean angle is."""
     apart, across, on_axis = np.empty(3), np.empty(3), np.empty(4)
     for pixel in range(len(distance)):
-        along_air = squared = 0.0
+        squared = 0.0
         for k in range(3):
             apart[k] = near_liquid[pixel, k] + distance[pixel] * liquid[pixel, k] - near_air[pixel, k]
-            along_air += apart[k] * air[pixel, k]
             squared += mean_cross[pixel, k] ** 2
         sine = np.sqrt(squared)
         shift = 0.0
@@ -137,7 +143,7 @@ def _write_measured(
             shift += (apart[a] * air[pixel, b] - apart[b] * air[pixel, a]) * mean_cross[pixel, k]
             across[k] = (air[pixel, a] * mean_cross[pixel, b] - air[pixel, b] * mean_cross[pixel, a]) / sine
         told[pixel] = distance[pixel] - shift / squared
-        lever_liquid, lever_air = distance[pixel] / baseline_liquid[pixel], along_air / baseline_air[pixel]
+        lever_liquid, lever_air = far[pixel] / baseline_liquid[pixel], far_air[pixel] / baseline_air[pixel]
         variance = 0.0
         for j in range(2):
             for display in range(4):

@@ -12,9 +12,10 @@ from recon.method import Limits
 from recon.reconstruct import Crossing
 from recon.surface.curvature import curvature_of
 from recon.surface.error_draws import NoiseDraw, SomePixels, SomeVectors
-from recon.surface.path_crossing import PathCrossing
+from recon.surface.path_crossing import ANGLE_WINDOW_PX, PathCrossing
 from recon.surface.path_noise import PathNoise
 from recon.surface.ray_chords import Mask, ScalarMap, VectorMap
+from recon.surface.window_means import weighted_means
 
 PerPath = Float64[np.ndarray, " pixels"]
 # A path that runs along the surface would slide without end.
@@ -78,7 +79,7 @@ class PathMeasurement:
         the path's squared shift along the surface. That correction is no surer than itself.
         """
         along, liquid = distance_mm.ravel()[self.pixels], self.paths.liquid
-        told_mm, sd_mm = self.crossing.measured_near(along, threads=self.threads)
+        told_mm, sd_mm = self.crossing.measured_near(along, levers_mm=self._levers(along), threads=self.threads)
         bent = _bent(liquid, along, self.paths.normal, self._curvature(along), threads=self.threads)
         below_mm = 0.5 * bent / self.facing
         return self.on_grid(told_mm + below_mm, self.readable), self.on_grid(np.hypot(sd_mm, below_mm), self.readable)
@@ -105,6 +106,14 @@ class PathMeasurement:
             )
 
         return draw
+
+    def _levers(self, along_mm: PerPath) -> tuple[PerPath, PerPath]:
+        """Return how far the surface is on both paths, the mean over the pixels about each."""
+        both = self.on_grid(np.stack([along_mm, self.crossing.along_air(along_mm)], axis=1), self.surface_pixel)
+        there = np.isfinite(both).all(axis=2)
+        mean = weighted_means(np.moveaxis(both, -1, 0), there.astype(np.float64), window_px=ANGLE_WINDOW_PX)
+        liquid, air = mean.reshape(2, -1)[:, self.pixels]
+        return liquid, air
 
     def _curvature(self, along_mm: PerPath) -> Float32[np.ndarray, "pixels 3 3"]:
         if self.told and np.array_equal(self.told[0][0], along_mm, equal_nan=True):

@@ -172,3 +172,18 @@ def test_transposing_the_photo_transposes_the_surface() -> None:
     turned = Scene(*(np.swapaxes(f, 0, 1) for f in (scene.point, scene.normal, scene.direction, scene.mask)))
     again = turned.fuse(distance.T, 0.2, np.swapaxes(normal, 0, 1), 0.01)
     assert np.allclose(again.distance_mm.T, found.distance_mm, atol=1e-5, equal_nan=True)
+
+
+def test_noise_of_the_normals_does_not_draw_the_level_to_where_paths_lie_closer() -> None:
+    scene = plane()
+    x, y = scene.point[..., 0], scene.point[..., 1]
+    # Paths that come 1 % closer together a mm: normals with noise would have the level lower by 0.8 mm.
+    direction = np.stack([-0.01 * x, -0.01 * y, -np.ones_like(x)], axis=2)
+    direction /= np.linalg.norm(direction, axis=2, keepdims=True)
+    closer = Scene(scene.point, scene.normal, direction, scene.mask)
+    apart = []
+    for seed in range(12):
+        distance, normal = closer.noisy(seed, 10.0, 0.05)
+        # Normals say nothing of the level, so that it is the mean of the distances.
+        apart.append((closer.fuse(distance, 10.0, normal, 0.05).distance_mm - distance).mean())
+    assert np.mean(apart) == pytest.approx(0, abs=4 * np.std(apart, ddof=1) / np.sqrt(12))
