@@ -19,7 +19,12 @@ FEWEST_NEIGHBOURS = 6
 LEAST_DETERMINANT = 1e-6
 # Maps are gone through tile by tile, each with what its pixels' own neighbours see: two medians and the large window.
 TILE_PX = 256
-NEIGHBOURHOOD_PX = 2 * (WINDOW_PX // 2) + LARGE_WINDOW_PX // 2
+NEIGHBOURHOOD_PX = 2 * (WINDOW_PX // 2) + 2 * (LARGE_WINDOW_PX // 2)
+# An edge of the map lies where places so many pixels apart differ by more than a quantum a pixel and one for its steps: where the
+# larger window is taken, the map is flatter than half of that.
+EDGE_REACH_PX = 3
+# Where a map only bends, a window on one side leaves less too, but not so far less, and its slopes are those of another place.
+FAR_LESS = 0.25
 
 
 def coordinate_gradient(
@@ -29,7 +34,8 @@ def coordinate_gradient(
 
     A plane u = u0 + g·(col, row) is fitted to 5 by 5 pixels about each, or to 15 by 15 where the smaller window sees only a
     few steps of the places; pixels far from their neighbours' median are left out. ``quantum_px`` is how coarse the places
-    may be: a step of the sweep is no outlier where pixels are finer than steps.
+    may be: a step of the sweep is no outlier where pixels are finer than steps. Where an edge goes through the larger window, one
+    that has the pixel at its border or corner is taken, so that the gradient is that of the pixel's own side.
     """
     rows, cols = place_px.shape
     gradient = np.full((rows, cols, 2), np.nan, dtype=np.float32)
@@ -53,22 +59,26 @@ def _tile_gradient(place_px: np.ndarray, valid: np.ndarray, *, quantum_px: float
     write_distances(value, median, off)
     spread = cv2.medianBlur(off, WINDOW_PX)
     keep_near(value, np.ascontiguousarray(valid), median, spread, 2 * quantum_px, keep)
-    slopes = _plane_slopes(value, keep, window_px=LARGE_WINDOW_PX)
+    planes = _planes(value, keep, window_px=LARGE_WINDOW_PX)
+    slopes = planes[:2].copy()
+    edge = np.zeros(keep.shape, dtype=np.uint8)
+    if mark_edges(value, keep, quantum_px, edge):
+        near = cv2.dilate(edge, np.ones((LARGE_WINDOW_PX, LARGE_WINDOW_PX), dtype=np.uint8))
+        write_one_sided(value, keep, near, LARGE_WINDOW_PX // 2, planes, slopes)
     # Where the larger window has too few pixels, or all in one line, the smaller one has as well.
-    if sees_steps_enough(slopes, FEWEST_QUANTA * quantum_px):
-        small = _plane_slopes(value, keep, window_px=WINDOW_PX)
-        take_smaller(slopes, small, FEWEST_QUANTA * quantum_px)
+    if sees_steps_enough(planes, slopes, FEWEST_QUANTA * quantum_px):
+        take_smaller(slopes, planes, _planes(value, keep, window_px=WINDOW_PX), FEWEST_QUANTA * quantum_px)
     return slopes
 
 
-def _plane_slopes(value: np.ndarray, keep: np.ndarray, *, window_px: int) -> Float64[np.ndarray, "2 rows cols"]:
-    """Return the slopes of the plane through the kept pixels of each window; NaN where these are too few or in one line.
+def _planes(value: np.ndarray, keep: np.ndarray, *, window_px: int) -> Float64[np.ndarray, "4 rows cols"]:
+    """Return the plane through the kept pixels of each window: slopes by column and by row, height, and mean square left.
 
-    ``value`` is zero where it is not kept.
+    NaN where these are too few or in one line. ``value`` is zero where it is not kept.
     """
-    slopes = np.full((2, *value.shape), np.nan)
-    write_slopes(value, keep, window_px // 2, slopes)
-    return slopes
+    planes = np.full((4, *value.shape), np.nan)
+    write_planes(value, keep, window_px // 2, planes)
+    return planes
 
 
 @compiled
@@ -95,35 +105,37 @@ def keep_near(
 
 
 @compiled
-def sees_steps_enough(slopes: np.ndarray, quanta: float) -> bool:
-    """Return whether some small window sees so many quanta of the places."""
+def sees_steps_enough(planes: np.ndarray, slopes: np.ndarray, quanta: float) -> bool:
+    """Return whether some small window sees so many quanta of the places, by the window about it or that on its own side."""
     some = False
     for row in range(np.uintp(slopes.shape[1])):
         for col in range(np.uintp(slopes.shape[2])):
             some |= (abs(slopes[0, row, col]) + abs(slopes[1, row, col])) * WINDOW_PX >= quanta
+            some |= (abs(planes[0, row, col]) + abs(planes[1, row, col])) * WINDOW_PX >= quanta
     return some
 
 
 @compiled
-def take_smaller(slopes: np.ndarray, small: np.ndarray, quanta: float) -> None:
+def take_smaller(slopes: np.ndarray, planes: np.ndarray, small: np.ndarray, quanta: float) -> None:
     """Take the slopes of the smaller windows that see so many quanta of the places."""
     for row in range(np.uintp(slopes.shape[1])):
         for col in range(np.uintp(slopes.shape[2])):
-            if (abs(slopes[0, row, col]) + abs(slopes[1, row, col])) * WINDOW_PX >= quanta:
+            own = abs(slopes[0, row, col]) + abs(slopes[1, row, col])
+            if max(own, abs(planes[0, row, col]) + abs(planes[1, row, col])) * WINDOW_PX >= quanta:
                 slopes[0, row, col], slopes[1, row, col] = small[0, row, col], small[1, row, col]
 
 
 @compiled
-def write_slopes(value: np.ndarray, keep: np.ndarray, half: int, slopes: np.ndarray) -> None:
-    """Write by column and by row [2, rows, cols] the slopes of the planes through the kept pixels of windows about each.
+def write_planes(value: np.ndarray, keep: np.ndarray, half: int, planes: np.ndarray) -> None:
+    """Write the plane through the kept pixels of the window about each: slopes by column and by row, height, mean square left.
 
     Sums run along with the window, first down the columns and then along each row. Places in single precision leave double
     precision room for them, so that what is added and taken away again leaves nothing behind.
     """
     rows, cols = value.shape
-    # Of each column: pixels, rows, squares of rows, values, rows times values.
-    column = np.zeros((5, cols))
-    window = np.zeros(9)
+    # Of each column: pixels, rows, squares of rows, values, rows times values, squares of values.
+    column = np.zeros((6, cols))
+    window = np.zeros(10)
     for bottom in range(rows + half):
         for sign, row in ((1.0, bottom), (-1.0, bottom - 2 * half - 1)):
             if 0 <= row < rows:
@@ -134,26 +146,78 @@ def write_slopes(value: np.ndarray, keep: np.ndarray, half: int, slopes: np.ndar
                         column[2, col] += sign * row * row
                         column[3, col] += sign * value[row, col]
                         column[4, col] += sign * row * value[row, col]
+                        column[5, col] += sign * value[row, col] * value[row, col]
         if bottom < half:
             continue
         window[:] = 0.0
         for right in range(cols + half):
             for sign, col in ((1.0, right), (-1.0, right - 2 * half - 1)):
                 if 0 <= col < cols and column[0, col] > 0.0:
-                    for moment in range(5):
+                    for moment in range(6):
                         window[moment] += sign * column[moment, col]
-                    window[5] += sign * col * column[0, col]
-                    window[6] += sign * col * col * column[0, col]
-                    window[7] += sign * col * column[1, col]
-                    window[8] += sign * col * column[3, col]
-            count, y, yy, v, yv = window[0], window[1], window[2], window[3], window[4]
+                    window[6] += sign * col * column[0, col]
+                    window[7] += sign * col * col * column[0, col]
+                    window[8] += sign * col * column[1, col]
+                    window[9] += sign * col * column[3, col]
+            count, y, yy, v, yv, vv = window[0], window[1], window[2], window[3], window[4], window[5]
             if right < half or count < FEWEST_NEIGHBOURS:
                 continue
-            # About the mean of the window, and times the number of its pixels: all but the last two are whole numbers.
-            x = window[5]
-            xx, yy, xy = count * window[6] - x * x, count * yy - y * y, count * window[7] - x * y
-            xv, yv = count * window[8] - x * v, count * yv - y * v
+            # About the mean of the window, and times the number of its pixels: all but those of values are whole numbers.
+            x = window[6]
+            xx, yy, xy = count * window[7] - x * x, count * yy - y * y, count * window[8] - x * y
+            xv, yv, vv = count * window[9] - x * v, count * yv - y * v, count * vv - v * v
             determinant = xx * yy - xy * xy
             if determinant > LEAST_DETERMINANT * count * count:
-                slopes[0, bottom - half, right - half] = (yy * xv - xy * yv) / determinant
-                slopes[1, bottom - half, right - half] = (xx * yv - xy * xv) / determinant
+                by_col = (yy * xv - xy * yv) / determinant
+                by_row = (xx * yv - xy * xv) / determinant
+                row, col = bottom - half, right - half
+                planes[0, row, col] = by_col
+                planes[1, row, col] = by_row
+                planes[2, row, col] = (v + by_col * (count * col - x) + by_row * (count * row - y)) / count
+                planes[3, row, col] = max(vv - by_col * xv - by_row * yv, 0.0) / (count * (count - 3))
+
+
+@compiled
+def mark_edges(value: np.ndarray, keep: np.ndarray, quantum: float, edge: np.ndarray) -> bool:
+    """Mark the kept pixels on both sides of every edge; return whether there is one."""
+    rows, cols = value.shape
+    some = False
+    for row in range(rows):
+        for col in range(cols):
+            if not keep[row, col]:
+                continue
+            for step in range(1, EDGE_REACH_PX + 1):
+                for r, c in ((row, col + step), (row + step, col)):
+                    kept = r < rows and c < cols and keep[r, c]
+                    if kept and abs(value[r, c] - value[row, col]) > (step + 1) * quantum:
+                        edge[row, col] = edge[r, c] = 1
+                        some = True
+    return some
+
+
+@compiled
+def write_one_sided(
+    value: np.ndarray, keep: np.ndarray, near: np.ndarray, half: int, planes: np.ndarray, slopes: np.ndarray
+) -> None:
+    """Write into ``slopes`` those of a window beside the pixel, wherever an edge goes through the one about it (``near``).
+
+    Of the windows that have the pixel at a border or corner the one counts that leaves least, with the pixel's own square, if
+    that is far less than what the window about the pixel leaves.
+    """
+    rows, cols = value.shape
+    for row in range(rows):
+        for col in range(cols):
+            if not near[row, col] or np.isnan(planes[3, row, col]):
+                continue
+            own = planes[2, row, col] - value[row, col] if keep[row, col] else 0.0
+            least = FAR_LESS * (planes[3, row, col] + own**2)
+            for r in (row - half, row, row + half):
+                for c in (col - half, col, col + half):
+                    if 0 <= r < rows and 0 <= c < cols:
+                        there = planes[2, r, c] + planes[0, r, c] * (col - c) + planes[1, r, c] * (row - r)
+                        own = there - value[row, col] if keep[row, col] else 0.0
+                        left = planes[3, r, c] + own**2
+                        if left < least:
+                            least = left
+                            slopes[0, row, col] = planes[0, r, c]
+                            slopes[1, row, col] = planes[1, r, c]

@@ -31,6 +31,26 @@ def test_a_plane_has_the_same_slopes_on_both_sides_of_a_tile() -> None:
     np.testing.assert_allclose(gradient, np.broadcast_to([0.3, -0.2], gradient.shape), atol=1e-6)
 
 
+@pytest.mark.parametrize("jump_px", [-14.0, -9.0, -6.0])
+def test_a_slope_beside_an_edge_is_that_of_the_pixels_own_side(jump_px: float) -> None:
+    # Two planes that meet in a jump along an oblique line, seen in whole display pixels as footprints narrower than one are.
+    row, col = np.mgrid[:60, :60].astype(np.float64)
+    beyond = col + 0.5 * row > 45
+    slopes = np.where(beyond[..., None], [0.261, 0.121], [0.389, -0.051])
+    place = np.where(beyond, 80 + jump_px + 0.261 * col + 0.121 * row, 80 + 0.389 * col - 0.051 * row)
+    gradient = coordinate_gradient(np.rint(place), np.ones(place.shape, bool), quantum_px=1.0)
+    from_edge_px = np.abs(col + 0.5 * row - 45) / np.hypot(1, 0.5)
+    inside = (np.minimum(row, col) >= 7) & (np.maximum(row, col) < 53) & (from_edge_px > 3)
+    off = np.abs(np.linalg.norm(gradient, axis=2) / np.linalg.norm(slopes, axis=2) - 1)
+    assert np.quantile(off[inside], 0.95) < 0.15
+
+
+def test_a_slope_of_a_map_that_bends_is_that_of_the_pixel() -> None:
+    row, col = np.mgrid[:40, :60].astype(np.float64)
+    gradient = coordinate_gradient(50 + 0.02 * (col - 30) ** 2 + 0.1 * row, np.ones(row.shape, bool), quantum_px=1.0)
+    np.testing.assert_allclose(gradient[10:30, 15:46, 0], np.tile(0.04 * (np.arange(15, 46) - 30), (20, 1)), atol=1e-6)
+
+
 @pytest.mark.parametrize("dtype", [np.uint8, np.uint16])
 def test_the_dark_variance_of_any_depth_is_that_of_half_the_difference(dtype: type) -> None:
     first, second = np.random.default_rng(8).integers(10, 14, (2, 100, 120)).astype(dtype)
