@@ -41,7 +41,7 @@ def reason_of(fault: ErrorDetails) -> str:
         return f"must have {number} values at {'least' if kind == 'too_short' else 'most'}, found {context['actual_length']}"
     reason = WORDS[kind].format(**context) if kind in WORDS else fault["msg"]
     found = fault["input"]
-    told = kind in ("missing", "extra_forbidden") or (kind == "value_error" and str(found) in reason)
+    told = kind in ("missing", "extra_forbidden", "json_invalid") or (kind == "value_error" and str(found) in reason)
     return f"{reason}, found {found!r}" if isinstance(found, str | int | float | None) and not told else reason
 
 

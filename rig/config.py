@@ -316,11 +316,12 @@ class RigConfig(Part):
         if last_px > self.device_px(axis) - 1:
             raise ValueError(f"last_{noun}_px is {last_px:g}, the display's last {noun} is {self.device_px(axis) - 1}")
         # A step of 0.1 does not add up exactly; a thousandth of a step keeps the last place.
-        count = math.floor((last_px - first_px) / stripe.step_px + 1e-3) + 1
+        count = math.floor(min((last_px - first_px) / stripe.step_px + 1e-3, MOST_PLACES)) + 1
         if not 3 <= count <= MOST_PLACES:
             limit = "needs at least 3" if count < 3 else f"may have {MOST_PLACES} at most"
+            found = max(count, 0) if count <= MOST_PLACES else f"more than {MOST_PLACES}"
             raise ValueError(
-                f"the stripe takes {max(count, 0)} places from first_{noun}_px {first_px:g} to last_{noun}_px "
+                f"the stripe takes {found} places from first_{noun}_px {first_px:g} to last_{noun}_px "
                 f"{last_px:g} with step_px {stripe.step_px:g}; a sweep {limit}"
             )
         return StripePattern(

@@ -90,7 +90,7 @@ def fuse_on_rays(
     rounds
         How often the equations are weighted anew (iteratively reweighted least squares).
     threads
-        With more than one, some draws of the noise are solved while others are drawn; the result is the same.
+        Share the equations, the coarser systems and the draws of the noise; the result is the same whatever their number.
 
     Returns
     -------

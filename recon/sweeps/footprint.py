@@ -71,12 +71,12 @@ def _tile_gradient(place_px: np.ndarray, valid: np.ndarray, *, quantum_px: float
     return slopes
 
 
-def _planes(value: np.ndarray, keep: np.ndarray, *, window_px: int) -> Float64[np.ndarray, "4 rows cols"]:
-    """Return the plane through the kept pixels of each window: slopes by column and by row, height, and mean square left.
+def _planes(value: np.ndarray, keep: np.ndarray, *, window_px: int) -> Float64[np.ndarray, "5 rows cols"]:
+    """Return the plane through the kept pixels of each window: slopes by column and by row, height, mean square left, pixels.
 
     NaN where these are too few or in one line. ``value`` is zero where it is not kept.
     """
-    planes = np.full((4, *value.shape), np.nan)
+    planes = np.full((5, *value.shape), np.nan)
     write_planes(value, keep, window_px // 2, planes)
     return planes
 
@@ -127,7 +127,7 @@ def take_smaller(slopes: np.ndarray, planes: np.ndarray, small: np.ndarray, quan
 
 @compiled
 def write_planes(value: np.ndarray, keep: np.ndarray, half: int, planes: np.ndarray) -> None:
-    """Write the plane through the kept pixels of the window about each: slopes by column and by row, height, mean square left.
+    """Write the plane through the kept pixels of the window about each, as ``_planes`` returns it.
 
     Sums run along with the window, first down the columns and then along each row. Places in single precision leave double
     precision room for them, so that what is added and taken away again leaves nothing behind.
@@ -175,6 +175,7 @@ def write_planes(value: np.ndarray, keep: np.ndarray, half: int, planes: np.ndar
                 planes[1, row, col] = by_row
                 planes[2, row, col] = (v + by_col * (count * col - x) + by_row * (count * row - y)) / count
                 planes[3, row, col] = max(vv - by_col * xv - by_row * yv, 0.0) / (count * (count - 3))
+                planes[4, row, col] = count
 
 
 @compiled
@@ -202,9 +203,11 @@ def write_one_sided(
     """Write into ``slopes`` those of a window beside the pixel, wherever an edge goes through the one about it (``near``).
 
     Of the windows that have the pixel at a border or corner the one counts that leaves least, with the pixel's own square, if
-    that is far less than what the window about the pixel leaves.
+    that is far less than what the window about the pixel leaves. Few pixels may lie on one step of the places, of which a level
+    plane leaves nothing: half of what a corner of the window about the pixel holds must be there.
     """
     rows, cols = value.shape
+    fewest = (half + 1) ** 2 / 2
     for row in range(rows):
         for col in range(cols):
             if not near[row, col] or np.isnan(planes[3, row, col]):
@@ -213,7 +216,7 @@ def write_one_sided(
             least = FAR_LESS * (planes[3, row, col] + own**2)
             for r in (row - half, row, row + half):
                 for c in (col - half, col, col + half):
-                    if 0 <= r < rows and 0 <= c < cols:
+                    if 0 <= r < rows and 0 <= c < cols and planes[4, r, c] >= fewest:
                         there = planes[2, r, c] + planes[0, r, c] * (col - c) + planes[1, r, c] * (row - r)
                         own = there - value[row, col] if keep[row, col] else 0.0
                         left = planes[3, r, c] + own**2

@@ -11,8 +11,10 @@ import pytest
 from command_run import Done
 from session_example import manifest, write_session
 
-from recon.errors import SessionError
+from recon.errors import ReconError, SessionError
 from recon.sessions.session import parse_manifest
+from recon.study.catalogue import EXPERIMENTS
+from recon.study.command import write_page
 
 # What pydantic, which checks values, says of them.
 JARGON = re.compile(
@@ -77,3 +79,11 @@ def test_a_value_that_is_missing_or_misspelt_is_named(tmp_path: Path, refusal: C
     extra = spoilt(manifest(), ("display", "pich_mm"), lambda holder, key: holder.update({key: 1.0}))
     session = write_session(tmp_path / "extra", fields=extra)
     assert "manifest.json: display.pich_mm: there is no such value; check the spelling" in refusal("validate", session)
+
+
+def test_a_damaged_study_is_named_and_not_printed_whole(tmp_path: Path) -> None:
+    experiment = EXPERIMENTS[0]
+    (tmp_path / f"{experiment.name}.json").write_text('{"name": "some long text" and no more', encoding="utf-8")
+    with pytest.raises(ReconError, match="not the result of a study") as caught:
+        write_page(tmp_path, EXPERIMENTS)
+    assert "some long text" not in str(caught.value)

@@ -45,6 +45,18 @@ def test_a_slope_beside_an_edge_is_that_of_the_pixels_own_side(jump_px: float) -
     assert np.quantile(off[inside], 0.95) < 0.15
 
 
+def test_no_window_of_few_pixels_on_one_step_tells_the_slope_at_a_rim() -> None:
+    # Two planes that meet in a jump, seen in whole display pixels through a round opening: slivers of it see one step alone.
+    row, col = np.mgrid[:60, :60].astype(np.float64)
+    beyond = col + 0.5 * row > 45
+    place = np.where(beyond, 71 + 0.261 * col + 0.121 * row, 80 + 0.389 * col - 0.051 * row)
+    seen = np.hypot(row - 29, col - 30) < 13
+    gradient = coordinate_gradient(np.rint(place), seen, quantum_px=1.0)
+    level = np.linalg.norm(gradient, axis=2) < 0.02
+    from_edge_px = np.abs(col + 0.5 * row - 45) / np.hypot(1, 0.5)
+    assert not level[seen & (from_edge_px > 3)].any()
+
+
 def test_a_slope_of_a_map_that_bends_is_that_of_the_pixel() -> None:
     row, col = np.mgrid[:40, :60].astype(np.float64)
     gradient = coordinate_gradient(50 + 0.02 * (col - 30) ** 2 + 0.1 * row, np.ones(row.shape, bool), quantum_px=1.0)

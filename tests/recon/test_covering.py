@@ -6,6 +6,7 @@ import pytest
 from recon.geometry.light_paths import LightPaths, ScreenNoise
 from recon.maps import Maps, Support
 from recon.status import PixelStatus
+from recon.surface import window_guesses
 from recon.surface.covering import with_covered
 from recon.surface.own_paths import OwnPaths
 from recon.surface.strays import without_strays
@@ -129,7 +130,9 @@ def test_a_point_at_the_rim_that_the_points_within_contradict_is_taken_out_and_n
     assert np.argwhere(found).tolist() == [[row, col]]
 
 
-def test_threads_change_nothing_of_what_is_taken_out_and_covered() -> None:
+def test_threads_change_nothing_of_what_is_taken_out_and_covered(monkeypatch: pytest.MonkeyPatch) -> None:
+    # So few pixels a part that the threads share them.
+    monkeypatch.setattr(window_guesses, "PIXELS_AT_ONCE", 4)
     hole = (ROW - 20) ** 2 + (COL - 20) ** 2 < 9
     alone, shared = (
         with_covered(without_strays(sphere(hole), threads=threads), paths_of(NOTHING), threads=threads)

@@ -95,6 +95,7 @@ WRONG = [
     (("capture", "--session", "s", "--sim", "--scene", "nowhere"), "no scene 'nowhere': choose one of bottle"),
     (("capture", "--session", "s", "--sim", "--step-px", "500"), "a sweep needs at least 3"),
     (("capture", "--session", "s", "--sim", "--step-px", "0.00001"), "a sweep may have 300000 at most"),
+    (("capture", "--session", "s", "--sim", "--step-px", "1e-308"), "takes more than 300000 places"),
     (
         ("capture", "--session", "s", "--sim", "--width-px", "-3"),
         "capture.stripe.width_px: must be greater than 0, found -3.0",
