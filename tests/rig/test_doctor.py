@@ -2,10 +2,10 @@
 
 import logging
 import re
-import sys
 import threading
 import time
 from collections.abc import Callable, Iterator
+from functools import partial
 from pathlib import Path
 
 import pytest
@@ -18,7 +18,6 @@ from rig.checking.doctor import INSTALL, Check, Finding, failed, finding_of_sent
 from rig.checking.doctor_camera import check_usb
 from rig.checking.doctor_cli import Limits, plan_checks
 from rig.checking.doctor_machine import check_disk, read_config, rig_packages
-from rig.cli import main
 
 Run = Callable[..., tuple[int, str, str]]
 
@@ -44,20 +43,8 @@ def bench(started: DoctorBench, monkeypatch: pytest.MonkeyPatch) -> Iterator[Doc
 
 
 @pytest.fixture
-def doctor(monkeypatch: pytest.MonkeyPatch, capfd: pytest.CaptureFixture[str], tmp_path: Path) -> Run:
-    monkeypatch.chdir(tmp_path)
-
-    def run(*arguments: str) -> tuple[int, str, str]:
-        monkeypatch.setattr(sys, "argv", ["rig", "doctor", *arguments])
-        try:
-            main()
-            code = 0
-        except SystemExit as stop:
-            code = int(stop.code or 0)
-        printed = capfd.readouterr()
-        return code, printed.out, printed.err
-
-    return run
+def doctor(rig: Run) -> Run:
+    return partial(rig, "doctor")
 
 
 def findings_of(bench: DoctorBench, *names: str, photos: int = 0, limits: Limits | None = None) -> list[Finding]:
