@@ -8,6 +8,7 @@ from jaxtyping import Bool, Float64, Int64, UInt8
 
 from recon.bands import over_bands
 from recon.geometry.beside import liquid_surface
+from recon.geometry.crossing_tests import crossing_tests
 from recon.geometry.entry_point import EntryPoints, entry_points
 from recon.geometry.light_paths import LightPaths, light_paths
 from recon.geometry.normals import normal_sd_rad, normals_from_angles, normals_from_paths
@@ -111,7 +112,7 @@ def cross_paths(
         normal_sd_rad=normal_sd,
         carried_mm2=np.zeros(len(pixels)),
         carried_rad2=np.zeros(len(pixels)),
-        status=_tests(points, manifest, method=method, limits=limits),
+        status=crossing_tests(points, manifest, method=method, limits=limits),
     )
     beside = liquid_surface(
         points,
@@ -162,7 +163,7 @@ def _choices(
     for choice in CHOICES:
         chosen = {one.name: (lesser if one.condition in choice else first)[one.name] for one in manifest.sets}
         _, points = _crossed(chosen, manifest, method=method)
-        tests = _tests(points, manifest, method=method, limits=limits)
+        tests = crossing_tests(points, manifest, method=method, limits=limits)
         meets = (tests == PixelStatus.OK) | ((tests == PixelStatus.PARALLEL_PATHS) & (not choice))
         met.append(np.logical_and.reduce([meets, *(doubled[condition] for condition in choice)]))
     found = np.stack(met)
@@ -207,34 +208,6 @@ def _direction_sd(air: LightPaths, manifest: Manifest, *, method: Method) -> Flo
     if method == "paper":
         return np.sqrt(2) * PARABOLA_SD_PX * manifest.display.pitch_mm / air.baseline_mm
     return np.sqrt(air.direction_variance())
-
-
-def _tests(points: EntryPoints, manifest: Manifest, *, method: Method, limits: Limits) -> UInt8[np.ndarray, " pixels"]:
-    """Test each crossing; where several tests fail the one that explains most is named."""
-    status = np.full(len(points.gap_mm), PixelStatus.OK, dtype=np.uint8)
-    centres = [np.array(pose.centre_mm) for pose in manifest.display_poses]
-    separation = float(np.linalg.norm(centres[1] - centres[0]))
-    with np.errstate(divide="ignore", invalid="ignore"):
-        if method == "paper":
-            parallel = ~(points.angle_rad > limits.smallest_angle_rad)
-            apart = ~(np.abs(points.gap_mm) < limits.largest_gap_share * separation)
-        else:
-            parallel = ~(points.angle_rad > limits.angle_sigma * points.angle_sd_rad)
-            apart = ~(np.abs(points.gap_mm) < limits.gap_sigma * points.gap_sd_mm)
-    status[_outside_depth(points, manifest)] = PixelStatus.OUTSIDE_DEPTH
-    status[apart] = PixelStatus.GAP_TOO_LARGE
-    status[parallel] = PixelStatus.PARALLEL_PATHS
-    return status
-
-
-def _outside_depth(points: EntryPoints, manifest: Manifest) -> np.ndarray:
-    """Return which points are not between the nearer display and the camera (or simply behind the display)."""
-    outside = ~(points.distance_liquid_mm > 0) | ~(points.distance_air_mm > 0)
-    if manifest.camera.pose is not None:
-        centre = np.array(manifest.camera.pose.centre_mm)
-        forward = manifest.camera.pose.world_from_screen()[:3, 2]
-        outside |= ~((points.point_mm - centre) @ forward > 0)
-    return outside
 
 
 def maps_of(status: np.ndarray, crossing: Crossing, *, shape: tuple[int, int], method: Method) -> Maps:

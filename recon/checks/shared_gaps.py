@@ -6,10 +6,12 @@ Light that enters the object again, or passes a bubble, comes along another path
 from dataclasses import dataclass, replace
 
 import numpy as np
-from jaxtyping import Bool, Float64
+from jaxtyping import Bool, Float64, UInt8
 from scipy.ndimage import binary_closing, binary_dilation, distance_transform_edt, uniform_filter
 
+from recon.geometry.crossing_tests import outside_depth
 from recon.reconstruct import Crossing
+from recon.sessions.manifest import Manifest
 from recon.status import PixelStatus
 
 WINDOW_PX = 5
@@ -72,6 +74,26 @@ def shared_gaps(crossing: Crossing, *, shape: tuple[int, int]) -> SharedGaps:
     return SharedGaps(mean, stands_out, crossed)
 
 
+def with_gaps_of_area(
+    status: UInt8[np.ndarray, " pixels"], crossing: Crossing, shared: SharedGaps, manifest: Manifest, *, sigma: float
+) -> tuple[UInt8[np.ndarray, " pixels"], Crossing]:
+    """Give points to pixels of an area whose gap is too large for noise, and that of those about them all the same.
+
+    Such a gap is the area's, of which the standard deviations will tell, and those about it with a slightly smaller one have
+    points: odd is only what differs from its neighbours' mean by so many ``sigma``.
+    """
+    mean = np.where(shared.area(), shared.mean, np.nan).ravel()[crossing.pixels]
+    with np.errstate(divide="ignore", invalid="ignore"):
+        alike = np.abs(crossing.points.gap_mm / crossing.points.gap_sd_mm - mean) < sigma
+    found = alike & (crossing.status == PixelStatus.GAP_TOO_LARGE) & ~outside_depth(crossing.points, manifest)
+    if not found.any():
+        return status, crossing
+    ours = np.where(found, np.uint8(PixelStatus.OK), crossing.status)
+    everywhere = status.copy()
+    everywhere[crossing.pixels] = ours
+    return everywhere, replace(crossing, status=ours)
+
+
 def with_shared_gaps(crossing: Crossing, shared: SharedGaps, *, n_liquid: float, n_air: float) -> Crossing:
     """Return the crossings with what neighbours' shared gaps say in the variances that neighbours cannot average out.
 
@@ -86,6 +108,10 @@ def with_shared_gaps(crossing: Crossing, shared: SharedGaps, *, n_liquid: float,
     off = (stands_out | shared.area()).ravel()[crossing.pixels]
     points = crossing.points
     shown = np.abs(np.nan_to_num(shared.mean))[tuple(nearest)].ravel()[crossing.pixels]
+    # That is a mean of gaps cut short: a pixel's own that is larger counts by itself.
+    with np.errstate(divide="ignore", invalid="ignore"):
+        own = np.abs(points.gap_mm / points.gap_sd_mm)
+    shown = np.where((own > LARGEST_SD) & np.isfinite(own), np.fmax(shown, own), shown)
     shared_mm = np.where(off, shown * np.nan_to_num(points.gap_sd_mm), 0.0)
     u, v = crossing.liquid.direction, crossing.air.direction
     length = np.linalg.norm(n_liquid * u - n_air * v, axis=1)

@@ -11,7 +11,7 @@ from recon.batch.cores import usable_cores
 from recon.calibration.calibration_file import read_calibration
 from recon.calibration.session_calibration import calibration_path
 from recon.checks.assumption_check import assumption_doubts
-from recon.checks.shared_gaps import shared_gaps, with_shared_gaps
+from recon.checks.shared_gaps import shared_gaps, with_gaps_of_area, with_shared_gaps
 from recon.checks.wet_spots import spot_pixels
 from recon.maps import Maps
 from recon.media.liquid_index import (
@@ -137,6 +137,7 @@ def _reconstruct(
     if settings.method == "full":
         status, crossing = without_spots(status, crossing, spot_pixels(sweeps, before, corner=part.corner))
         shared = shared_gaps(crossing, shape=shape)
+        status, crossing = with_gaps_of_area(status, crossing, shared, manifest, sigma=settings.limits.gap_sigma)
         crossing = with_shared_gaps(crossing, shared, n_liquid=manifest.n_liquid(), n_air=manifest.n_air)
         apart = shared.area()
         own = OwnPaths.of(sweeps, manifest, np.flatnonzero(np.isin(status, COVERABLE)))

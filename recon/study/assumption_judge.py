@@ -49,10 +49,18 @@ class Errors:
         """Return the judged pixels that have a point and a normal."""
         return np.isfinite(self.point_mm)
 
-    def right(self, up_to_mm: float) -> MaskMap:
-        """Return the judged pixels whose point is off by no more than that."""
+    def right(self, up_to: "RightUpTo") -> MaskMap:
+        """Return the judged pixels whose point and normal are off by no more than that."""
         with np.errstate(invalid="ignore"):
-            return self.point_mm <= up_to_mm
+            return (self.point_mm <= up_to.mm) & (self.normal_deg <= up_to.deg)
+
+
+@dataclass(frozen=True, slots=True)
+class RightUpTo:
+    """The errors of point and normal up to which both count as right."""
+
+    mm: float
+    deg: float
 
 
 def truths_of(session: Path, ideal: Path, *, about_creases: bool, radius_mm: float) -> Truths:

@@ -13,7 +13,7 @@ from recon.metrics import Metrics
 from recon.run import run_session
 from recon.running.settings import Settings
 from recon.status import PixelStatus
-from recon.study.assumption_judge import Errors, MaskMap, Truths, errors_of, truths_of
+from recon.study.assumption_judge import Errors, MaskMap, RightUpTo, Truths, errors_of, truths_of
 from recon.study.experiment import Findings, StudySize, Tell
 from recon.study.photographed import METHODS
 from recon.study.simulator import simulated
@@ -23,7 +23,7 @@ from recon.study.wrong_assumptions import RADIUS_MM, WrongAssumption, wrong_assu
 COLUMNS = 160
 STRIPE = ("--profile", "raised_cosine", "--width-px", "24", "--step-px", "8")
 FAR_SD = 3.0
-# A point counts as right up to this many times the median error of method `paper` where nothing is wrong.
+# A point is right up to this many times the median errors of method `paper`, of points and normals, where nothing is wrong.
 RIGHT_FACTOR = 3.0
 LEFT_OUT = tuple(status for status in PixelStatus if status not in (PixelStatus.OK, PixelStatus.MASKED_OUT))
 # Method ``full`` is judged by what pixels measured themselves, and with those that the surface about them covers.
@@ -102,7 +102,7 @@ def errors_table(cases: Sequence[Case]) -> StudyTable:
         "beyond 3 sd (%)",
     )
     rows: list[tuple[Cell, ...]] = []
-    right_mm = right_up_to_mm(cases)
+    right_up_to = right_up_to_of(cases)
     for case in cases:
         for part, where in case.parts():
             for series in SERIES:
@@ -116,7 +116,7 @@ def errors_table(cases: Sequence[Case]) -> StudyTable:
                         int(where.sum()),
                         series,
                         100 * float(found.sum() / where.sum()),
-                        100 * float((where & each.right(right_mm)).sum() / where.sum()),
+                        100 * float((where & each.right(right_up_to)).sum() / where.sum()),
                         *(point.median, point.rms, point.p95),
                         *(normal.median, normal.rms, normal.p95),
                         None if series == "paper" else _far_percent(each, found),
@@ -125,16 +125,20 @@ def errors_table(cases: Sequence[Case]) -> StudyTable:
     note = (
         "Reached: pixels whose wet path differs from that of the scene without what is wrong; for creases, pixels at a turn of "
         "the true normal by more than 3°, or at the rim. Complete: pixels with a point. Right: those whose point is within "
-        f"{RIGHT_FACTOR:g} times the median error of method `paper` with nothing wrong, {right_mm:.3g} mm. Covered too: with the "
-        "pixels whose own measurement was left out, and whose point is that of the surface about them. Beyond 3 sd: points whose "
-        "error exceeds three of their own standard deviations."
+        f"{RIGHT_FACTOR:g} times the median error of method `paper` with nothing wrong, {right_up_to.mm:.3g} mm, and whose "
+        f"normal is within as many of its median, {right_up_to.deg:.3g}°. Covered too: with the pixels whose own measurement "
+        "was left out, and whose point is that of the surface about them. Beyond 3 sd: points whose error exceeds three of "
+        "their own standard deviations."
     )
     return StudyTable(title="Each method's own points", headings=headings, rows=tuple(rows), note=note)
 
 
-def right_up_to_mm(cases: Sequence[Case]) -> float:
-    """Return the error up to which a point counts as right; the first case is the one with nothing wrong."""
-    return RIGHT_FACTOR * float(np.nanmedian(cases[0].errors["paper"].point_mm))
+def right_up_to_of(cases: Sequence[Case]) -> RightUpTo:
+    """Return the errors up to which a point counts as right; the first case is the one with nothing wrong."""
+    paper = cases[0].errors["paper"]
+    return RightUpTo(
+        RIGHT_FACTOR * float(np.nanmedian(paper.point_mm)), RIGHT_FACTOR * float(np.nanmedian(paper.normal_deg))
+    )
 
 
 def _far_percent(errors: Errors, found: MaskMap) -> float:
@@ -158,7 +162,7 @@ def common_table(cases: Sequence[Case]) -> StudyTable:
         "full",
         "right in paper, none in full (%)",
     )
-    right_mm = right_up_to_mm(cases)
+    right_up_to = right_up_to_of(cases)
     rows: list[tuple[Cell, ...]] = []
     for case in cases:
         paper = case.errors["paper"]
@@ -173,9 +177,9 @@ def common_table(cases: Sequence[Case]) -> StudyTable:
                 figures = [
                     value for first, second in pairs for value in (first.median, second.median, first.rms, second.rms)
                 ]
-                lost = where & paper.right(right_mm) & ~full.found()
+                lost = where & paper.right(right_up_to) & ~full.found()
                 rows.append((case.name, part, series, int(both.sum()), *figures, 100 * float(lost.sum() / where.sum())))
-    note = f"Right: within {right_mm:.3g} mm, as above."
+    note = f"Right: within {right_up_to.mm:.3g} mm and {right_up_to.deg:.3g}°, as above."
     return StudyTable(title="On the pixels that both have", headings=headings, rows=tuple(rows), note=note)
 
 

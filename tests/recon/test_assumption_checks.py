@@ -7,10 +7,10 @@ import numpy as np
 import pytest
 from traced_session import Mishap, TracedSession, traced_session
 
-from recon.checks.shared_gaps import shared_gaps, with_shared_gaps
+from recon.checks.shared_gaps import shared_gaps, with_gaps_of_area, with_shared_gaps
 from recon.checks.wet_spots import GROWN_PX, WetSpot, spot_pixels, wet_spots
 from recon.method import Limits
-from recon.reconstruct import cross_paths
+from recon.reconstruct import Crossing, cross_paths
 from recon.registration.registration_stage import registration_of
 from recon.running.outcome import Outcome, reconstruct
 from recon.running.settings import Settings
@@ -61,6 +61,57 @@ def test_light_that_enters_again_is_no_slip_of_the_display_and_widens_the_standa
     other = maps.valid() & ~area & (np.arange(shape[1]) < shape[1] // 2 - 3)
     off = np.abs(np.linalg.norm(maps.point_mm[other], axis=1) - 27.99) / maps.sd_mm[other]
     assert np.mean(off > 3) < 0.01
+
+
+def crossings_with_gaps(scene: Scene, normalised: np.ndarray) -> tuple[TracedSession, np.ndarray, Crossing]:
+    """Return a session's crossings with these gaps, in standard deviations, [pixels of the object] in place of its own."""
+    session = traced_session(scene, noise_px=0.1)
+    status, crossing = cross_paths(session.sweeps, session.manifest, method="full", limits=Limits())
+    where = np.flatnonzero(np.isin(crossing.status, (PixelStatus.OK, PixelStatus.GAP_TOO_LARGE)))
+    gap_mm = crossing.points.gap_mm.copy()
+    gap_mm[where] = (normalised.ravel()[crossing.pixels] * crossing.points.gap_sd_mm)[where]
+    ours = crossing.status.copy()
+    ours[where] = np.where(
+        np.abs(normalised.ravel()[crossing.pixels[where]]) < 5, PixelStatus.OK, PixelStatus.GAP_TOO_LARGE
+    )
+    status = status.copy()
+    status[crossing.pixels] = ours
+    return session, status, replace(crossing, points=replace(crossing.points, gap_mm=gap_mm), status=ours)
+
+
+def test_a_gap_that_its_area_shares_is_not_odd_and_one_that_differs_from_it_is(scene: Scene) -> None:
+    shape = (scene.camera.rows, scene.camera.columns)
+    normalised = np.zeros(shape)
+    # Gaps of 4 sd all over one half, just above the limit of 5 at some pixels there, and far above it at one.
+    normalised[:, 48:] = 4.0
+    alike, odd, elsewhere = ([44, 50, 52], [60, 60, 56]), ([40], [60]), ([48], [30])
+    normalised[alike], normalised[odd], normalised[elsewhere] = 5.4, 12.0, 5.4
+    session, status, crossing = crossings_with_gaps(scene, normalised)
+    shared = shared_gaps(crossing, shape=shape)
+    found, after = with_gaps_of_area(status, crossing, shared, session.manifest, sigma=5.0)
+    found = found.reshape(shape)
+    assert (status.reshape(shape)[alike] == PixelStatus.GAP_TOO_LARGE).all()
+    assert (found[alike] == PixelStatus.OK).all()
+    assert found[odd] == found[elsewhere] == PixelStatus.GAP_TOO_LARGE
+    np.testing.assert_array_equal(found.ravel()[after.pixels], after.status)
+    # Its own gap widens it, not the mean of those about it alone: that over the sine of the angle between the paths.
+    wider = with_shared_gaps(after, shared, n_liquid=1.3355, n_air=1.0)
+    pixel = np.searchsorted(after.pixels, 44 * shape[1] + 60)
+    own_mm = 5.4 * after.points.gap_sd_mm[pixel] / np.sin(after.points.angle_rad[pixel])
+    np.testing.assert_allclose(np.sqrt(wider.carried_mm2[pixel]), own_mm)
+
+
+def test_a_gap_that_its_area_shares_gives_no_point_behind_the_camera_or_the_display(scene: Scene) -> None:
+    shape = (scene.camera.rows, scene.camera.columns)
+    normalised = np.full(shape, 4.0)
+    normalised[44, 60] = 5.4
+    session, status, crossing = crossings_with_gaps(scene, normalised)
+    pixel = np.searchsorted(crossing.pixels, 44 * shape[1] + 60)
+    behind = crossing.points.distance_liquid_mm.copy()
+    behind[pixel] = -1.0
+    crossing = replace(crossing, points=replace(crossing.points, distance_liquid_mm=behind))
+    _, after = with_gaps_of_area(status, crossing, shared_gaps(crossing, shape=shape), session.manifest, sigma=5.0)
+    assert after.status[pixel] == PixelStatus.GAP_TOO_LARGE
 
 
 SHAPE = (40, 40)

@@ -6,7 +6,7 @@ import numpy as np
 
 from recon.maps import Maps
 from recon.status import PixelStatus
-from recon.study.assumption_judge import Truths, creased, errors_of, truths_of
+from recon.study.assumption_judge import RightUpTo, Truths, creased, errors_of, truths_of
 from recon.study.wrong_assumptions import RADIUS_MM, wrong_assumptions
 
 SHAPE = (12, 12)
@@ -68,8 +68,10 @@ def test_errors_are_distances_from_truth_and_from_the_dome_where_there_is_none()
     everywhere = np.ones((1, 3), bool)
     found = errors_of(maps, Truths(true_point, true_normal, everywhere, everywhere, radius_mm=20.0), covered=False)
     np.testing.assert_allclose(found.point_mm, [[0.5, np.nan, 0.5]])
-    assert found.right(0.6).tolist() == [[True, False, True]]
-    assert not found.right(0.4).any()
+    assert found.right(RightUpTo(mm=0.6, deg=40.0)).tolist() == [[True, False, True]]
+    assert not found.right(RightUpTo(mm=0.4, deg=40.0)).any()
+    # A point at the right place whose normal is off by 36.9° is not right.
+    assert found.right(RightUpTo(mm=0.6, deg=30.0)).tolist() == [[True, False, False]]
     # By hand: cos = 0.8 between (0, 0.6, 0.8) and the radial direction.
     np.testing.assert_allclose(found.normal_deg, [[0.0, np.nan, np.degrees(np.arccos(0.8))]], atol=1e-6)
     np.testing.assert_allclose(found.sd_mm, [[0.25, np.nan, 0.25]])
