@@ -143,6 +143,7 @@ def _wrong_depths(session: Session, bits: Mapping[str, int]) -> Iterator[Fault]:
         ]
         black = (capture_set.name, "black", 0)
         # One black photo serves both sweeps; without it each stands alone.
+        beside = "set" if black in session.photos else "sweep"
         for keys in [[black, *sweeps[0], *sweeps[1]]] if black in session.photos else sweeps:
             records = (session.photos.get(key) for key in keys)
             depths = {record.file: bits[record.file] for record in records if record and record.file in bits}
@@ -152,8 +153,8 @@ def _wrong_depths(session: Session, bits: Mapping[str, int]) -> Iterator[Fault]:
                 others = f" (and {len(odd) - 1} more)" if len(odd) > 1 else ""
                 yield Fault(
                     f"{odd[0]}{others}",
-                    f"{depths[odd[0]]} bits a sample, but most photos of the set have {usual}; convert it to the same depth, "
-                    "or take it again",
+                    f"{depths[odd[0]]} bits a sample, but most photos of the {beside} have {usual}; convert it to the same "
+                    "depth, or take it again",
                 )
 
 

@@ -105,13 +105,20 @@ def keep_near(
 
 
 @compiled
+def sees_steps(planes: np.ndarray, slopes: np.ndarray, row: int, col: int, quanta: float) -> bool:
+    """Return whether a pixel's small window sees so many quanta of the places, by the window about it or that on its own side."""
+    own = abs(slopes[0, row, col]) + abs(slopes[1, row, col])
+    about = abs(planes[0, row, col]) + abs(planes[1, row, col])
+    return (own * WINDOW_PX >= quanta) | (about * WINDOW_PX >= quanta)
+
+
+@compiled
 def sees_steps_enough(planes: np.ndarray, slopes: np.ndarray, quanta: float) -> bool:
-    """Return whether some small window sees so many quanta of the places, by the window about it or that on its own side."""
+    """Return whether some small window sees so many quanta of the places."""
     some = False
     for row in range(np.uintp(slopes.shape[1])):
         for col in range(np.uintp(slopes.shape[2])):
-            some |= (abs(slopes[0, row, col]) + abs(slopes[1, row, col])) * WINDOW_PX >= quanta
-            some |= (abs(planes[0, row, col]) + abs(planes[1, row, col])) * WINDOW_PX >= quanta
+            some |= sees_steps(planes, slopes, row, col, quanta)
     return some
 
 
@@ -120,8 +127,7 @@ def take_smaller(slopes: np.ndarray, planes: np.ndarray, small: np.ndarray, quan
     """Take the slopes of the smaller windows that see so many quanta of the places."""
     for row in range(np.uintp(slopes.shape[1])):
         for col in range(np.uintp(slopes.shape[2])):
-            own = abs(slopes[0, row, col]) + abs(slopes[1, row, col])
-            if max(own, abs(planes[0, row, col]) + abs(planes[1, row, col])) * WINDOW_PX >= quanta:
+            if sees_steps(planes, slopes, row, col, quanta):
                 slopes[0, row, col], slopes[1, row, col] = small[0, row, col], small[1, row, col]
 
 

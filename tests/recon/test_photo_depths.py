@@ -21,7 +21,7 @@ def test_photos_of_different_depths_in_a_set_are_refused(
     assert "8 bits a sample, but other photos of the set have 16" in message
     checked = recon("validate", session)
     assert checked.returncode == 1
-    assert "x/0002.jpg: 16 bits a sample, but most photos of the set have 8" in checked.stdout
+    assert "x/0002.jpg: 16 bits a sample, but most photos of the sweep have 8" in checked.stdout
 
 
 def deepen(photos: Iterable[Path]) -> None:
