@@ -11,6 +11,10 @@ from recon.sessions.raw_photos import decode_raw, is_raw
 
 Counts = np.ndarray  # [rows, cols] uint8 or uint16
 
+FULL_RANGE = 1 << 16
+# That of 8 bits. Fewer levels than theirs have a larger step by chance.
+LARGEST_SHIFTED_STEP = 1 << 8
+
 # The plane of a decoded BGR photo that a display showing one primary lights.
 PLANE_OF_PRIMARY = {"blue": 0, "green": 1, "red": 2}
 
@@ -72,5 +76,13 @@ def _decode_other(data: bytes, path: Path, *, primary: str) -> Counts:
 
 
 def saturation_count(counts: Counts) -> int:
-    """Return the count from which a sample is taken as clipped: the top of the range less one for JPEG ringing."""
-    return 254 if counts.dtype == np.uint8 else 65534
+    """Return the count from which a sample is taken as clipped: the top of the range less one step, for JPEG ringing.
+
+    Fewer bits that a camera or a program shifted up to 16 end in as many zeros, all of them, and their top is lower: 65520
+    for 12 bits. ``counts`` should be a photo with light in it: where all samples are 0, steps are taken to be one.
+    """
+    if counts.dtype == np.uint8:
+        return 254
+    bits = int(np.bitwise_or.reduce(counts, axis=None))
+    step = min(bits & -bits, LARGEST_SHIFTED_STEP) if bits else 1
+    return FULL_RANGE - 2 * step

@@ -31,7 +31,7 @@ def black_level(
     ``numbers``.
     """
     first, last = photo(numbers[0]), photo(numbers[-1])
-    step = 1 if first.dtype == np.uint8 else step_of_counts(photo(numbers[round(0.5 * (len(numbers) - 1))]))
+    step = 1 if first.dtype == np.uint8 else step_of_counts(photo(middle_of(numbers)))
     # Noise below the step is rounded away, and shows again in a sample here and there.
     variance = max(dark_variance(first, last), ROUNDING_VARIANCE * step**2)
     if has_black(session, capture_set):
@@ -40,8 +40,15 @@ def black_level(
     return median_of_five(first, last, *between), variance, MEDIAN_OF_FIVE * variance
 
 
+def middle_of(numbers: range) -> int:
+    """Return the number of the photo in the middle of a sweep, where most likely there is light."""
+    return numbers[round(0.5 * (len(numbers) - 1))]
+
+
 def step_of_counts(counts: Counts) -> int:
     """Return the step in which a photo's counts come: 257 for 8 bits stretched to 16, and 1 where they tell none."""
+    if counts.dtype == np.uint8:
+        return 1
     seen = np.zeros(np.iinfo(counts.dtype).max + 1, dtype=bool)
     seen[counts] = True
     different = np.flatnonzero(seen)

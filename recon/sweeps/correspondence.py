@@ -14,7 +14,7 @@ from recon.sessions.manifest import Axis, CaptureSet, StripePattern
 from recon.sessions.photos import saturation_count
 from recon.sessions.session import Session
 from recon.status import PixelStatus
-from recon.sweeps.black_level import black_level, noise_floor, reach_floor
+from recon.sweeps.black_level import black_level, middle_of, noise_floor, reach_floor
 from recon.sweeps.curve_reach import curve_half_width
 from recon.sweeps.half_seen import half_seen_of
 from recon.sweeps.noise import NoiseModel
@@ -72,6 +72,8 @@ def decode_sweep(
     pattern = capture_set.sweep(axis).pattern
     assert isinstance(pattern, StripePattern)
     photos = SweepPhotos(session, capture_set, axis)
+    # A dark photo may not tell in which steps its counts come.
+    clipped = saturation_count(photos.early(middle_of(photos.numbers)))
     black, dark, of_black = black_level(session, capture_set, photos.numbers, photo=photos.early)
     floor = noise_floor(black, dark + of_black)
     half_width = window_half_width(pattern, method)
@@ -85,11 +87,10 @@ def decode_sweep(
         )
     # Two paths are for the fit to tell apart.
     tracker = PeakTracker(floor, half_width=half_width, second=method == "full")
-    quality = _stream(session, capture_set, axis, photos, tracker, black=black, on_photo=on_photo)
+    quality = _stream(session, capture_set, axis, photos, tracker, black=black, clipped=clipped, on_photo=on_photo)
     windows = tracker.finish()
     del tracker, floor
     give_back_free_memory()
-    clipped = saturation_count(black)
     if method == "paper":
         return place_by_parabola(windows, pattern, black=black, dark=dark, photos=quality)
     return place_by_likelihood(
@@ -118,10 +119,11 @@ def _stream(
     tracker: "PeakTracker",
     *,
     black: np.ndarray,
+    clipped: int,
     on_photo: Callable[[], None],
 ) -> tuple[PhotoQuality, ...]:
     free: np.ndarray | None = None
-    quality, clipped = [], saturation_count(black)
+    quality = []
     for index in photos.numbers:
         counts = photos.take(index, buffer=free)
         check_depth(session, capture_set, axis, index, counts, like=black)

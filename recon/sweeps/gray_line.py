@@ -17,7 +17,7 @@ from recon.sessions.pattern import GrayLinePattern
 from recon.sessions.photos import Counts, saturation_count
 from recon.sessions.session import Session
 from recon.status import PixelStatus
-from recon.sweeps.black_level import LEAST_PEAK_COUNTS, PEAK_SIGMA
+from recon.sweeps.black_level import LEAST_PEAK_COUNTS, PEAK_SIGMA, step_of_counts
 from recon.sweeps.correspondence import SweepResult, place_by_likelihood, place_by_parabola
 from recon.sweeps.noise import ROUNDING_VARIANCE, dark_variance
 from recon.sweeps.photo_stream import black_photo, has_black, photo_stream
@@ -66,6 +66,7 @@ def decode_gray_line(
     camera = session.manifest.camera
     black = black_photo(session, capture_set) if has_black(session, capture_set) else None
     lines = line_samples(photos(0, pattern.steps, like=black), pattern)
+    clipped = saturation_count(lines)
     shape = (camera.rows, camera.columns)
     dark, variance = _dark_of_lines(lines, shape)
     black = dark if black is None else black
@@ -82,7 +83,7 @@ def decode_gray_line(
             sweep,
             black=black,
             dark=variance,
-            clipped=saturation_count(black),
+            clipped=clipped,
             photos=strip,
             continuous=session.manifest.display.continuous,
         )
@@ -196,4 +197,4 @@ def _dark_of_lines(lines: np.ndarray, shape: tuple[int, int]) -> tuple[Counts, f
     )
     twice_the_mean = before.astype(np.int32) + after
     variance = dark_variance(2 * middle.astype(np.int32), twice_the_mean) / 3
-    return middle, max(variance, ROUNDING_VARIANCE)
+    return middle, max(variance, ROUNDING_VARIANCE * step_of_counts(lines[:, 0]) ** 2)

@@ -17,7 +17,7 @@ from recon.sessions.pattern import PhaseShiftPattern
 from recon.sessions.photos import saturation_count
 from recon.sessions.session import Session
 from recon.status import PixelStatus
-from recon.sweeps.black_level import LEAST_PEAK_COUNTS, PEAK_SIGMA
+from recon.sweeps.black_level import LEAST_PEAK_COUNTS, PEAK_SIGMA, step_of_counts
 from recon.sweeps.correspondence import SweepResult
 from recon.sweeps.display_response import response_of, response_undone
 from recon.sweeps.map_scatter import scatter_beyond
@@ -97,18 +97,20 @@ def decode_phase_shift(
     some = np.arange(0, pixels, max(-(-pixels // NOISE_SAMPLE_PIXELS), 1))
     response = response_of(session)
     tracker, samples = PhaseTracker(pixels, pattern), np.empty((pattern.count, len(some)))
-    clipped = np.zeros(pixels, dtype=bool)
+    clipped, step = np.zeros(pixels, dtype=bool), 1
     numbers = session.photo_numbers(capture_set, axis)
     black = black_photo(session, capture_set) if has_black(session, capture_set) else None
     photos = photo_stream(session, capture_set, axis, numbers, like=black, quality=quality, on_photo=on_photo)
     for number, counts in enumerate(photos):
         clipped |= counts.ravel() >= saturation_count(counts)
+        if number == 0 and response is None:
+            step = step_of_counts(counts)
         values = response_undone(counts, response)
         samples[number] = values[some]
         tracker.feed(values)
     phases = tracker.finish()
     level = np.zeros(pixels) if black is None else response_undone(black, response)
-    noise = _noise(phases, samples, some, pattern, black=level)
+    noise = _noise(phases, samples, some, pattern, black=level, read_variance=ROUNDING_VARIANCE * step**2)
     sd_turns, misfit = _phase_sd(phases, pattern, noise=noise, black=level)
     places = unwrapped(phases.turns, sd_turns, pattern)
     status = _status(phases, places, pattern, noise=noise, clipped=clipped)
@@ -185,17 +187,23 @@ def _status(
 
 
 def _noise(
-    phases: Phases, samples: np.ndarray, some: np.ndarray, pattern: PhaseShiftPattern, *, black: np.ndarray
+    phases: Phases,
+    samples: np.ndarray,
+    some: np.ndarray,
+    pattern: PhaseShiftPattern,
+    *,
+    black: np.ndarray,
+    read_variance: float,
 ) -> NoiseModel:
-    """Read the noise from what a sample of the pixels leaves of its cosines."""
+    """Read the noise from what a sample of the pixels leaves of its cosines; it is no less than ``read_variance``."""
     freedom_share = (pattern.steps - 3) / pattern.steps
     if freedom_share == 0:
-        return NoiseModel(ROUNDING_VARIANCE)
+        return NoiseModel(read_variance)
     model = np.stack(list(_models(phases, some, pattern)))
     return noise_from_residuals(
         (model - black[some]).ravel(),
         (samples - model).ravel(),
-        read_variance=ROUNDING_VARIANCE,
+        read_variance=read_variance,
         freedom_share=freedom_share,
     )
 
