@@ -4,17 +4,17 @@ Geometry of two skew lines P + sU and Q + tV. In their common directions the cro
 c = U×V/|U×V| each line says where it is, and the gap between them measures how well they agree.
 """
 
-from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
 
 import numpy as np
 from jaxtyping import Float32, Float64
 
+from recon.bands import over_bands
+from recon.compiled import compiled
 from recon.geometry.light_paths import LightPaths
 
 # sin² of the angle below which two lines have no crossing in double precision.
 PARALLEL = 1e-18
-PIXELS_AT_ONCE = 1 << 14
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -41,58 +41,131 @@ class EntryPoints:
 
 
 def entry_points(liquid: LightPaths, air: LightPaths, *, weighted: bool, threads: int = 1) -> EntryPoints:
-    """Cross the two paths of each pixel, some at a time: what is made on the way takes more memory than what comes out.
+    """Cross the two paths of each pixel.
 
     The paper takes the middle of the shortest segment between them; ``weighted`` divides that segment by the two
     paths' variances instead. Parallel paths give NaN. So many ``threads`` share the pixels.
     """
     count = len(liquid.direction)
-    if count <= PIXELS_AT_ONCE:
-        return _entry_points(liquid, air, weighted=weighted)
+    result = EntryPoints(
+        np.empty((count, 3)), *(np.empty(count) for _ in range(6)), np.empty((count, 3, 3), np.float32)
+    )
+    noises = [noise for paths in (liquid, air) for noise in (paths.near_noise, paths.far_noise)]
+    axes = np.stack([noise.axes for noise in noises])
 
-    def room(*shape: int) -> np.ndarray:
-        return np.empty((count, *shape))
+    def cross(band: slice) -> None:
+        given = (one[band] for paths in (liquid, air) for one in (paths.near_mm, paths.direction, paths.baseline_mm))
+        found = (getattr(result, name)[band] for name in EntryPoints.__slots__)
+        _write_crossings(*given, axes, *(noise.sd_mm[band] for noise in noises), weighted, *found)
 
-    covariance = np.empty((count, 3, 3), np.float32)
-    result = EntryPoints(room(3), room(), room(), room(), room(), room(), room(), covariance)
-
-    def cross(low: int) -> None:
-        rows = slice(low, low + PIXELS_AT_ONCE)
-        part = _entry_points(liquid.some(rows), air.some(rows), weighted=weighted)
-        for name in EntryPoints.__slots__:
-            getattr(result, name)[rows] = getattr(part, name)
-
-    with ThreadPoolExecutor(threads) as pool:
-        list(pool.map(cross, range(0, count, PIXELS_AT_ONCE)))
+    over_bands(cross, count, threads=threads)
     return result
 
 
-def _entry_points(liquid: LightPaths, air: LightPaths, *, weighted: bool) -> EntryPoints:
-    u, v = liquid.direction, air.direction
-    cross = np.cross(u, v)
-    sine_squared = (cross**2).sum(1)
-    with np.errstate(divide="ignore", invalid="ignore"):
-        safe = np.where(sine_squared > PARALLEL, sine_squared, np.nan)
-        sine = np.sqrt(safe)
-        common = cross / sine[:, None]
-        offset = air.near_mm - liquid.near_mm
-        s = (np.cross(offset, v) * cross).sum(1) / safe
-        t = (np.cross(offset, u) * cross).sum(1) / safe
-    gap = (offset * common).sum(1)
-    variance_liquid, variance_air = liquid.variance_along(common, s), air.variance_along(common, t)
-    total = variance_liquid + variance_air
-    share = _liquid_share(variance_air, total) if weighted else np.full_like(total, 0.5)
-    point = share[:, None] * liquid.point_at(s) + (1 - share)[:, None] * air.point_at(t)
-    return EntryPoints(
-        point_mm=point,
-        distance_liquid_mm=s,
-        distance_air_mm=t,
-        gap_mm=gap,
-        gap_sd_mm=np.sqrt(total),
-        angle_rad=np.arctan2(np.sqrt(sine_squared), (u * v).sum(1)),
-        angle_sd_rad=_angle_sd(liquid, air, common),
-        covariance=_covariance(liquid, air, (s, t), common, sine, share),
-    )
+@compiled
+def _write_crossings(
+    near_liquid: np.ndarray,
+    liquid: np.ndarray,
+    baseline_liquid: np.ndarray,
+    near_air: np.ndarray,
+    air: np.ndarray,
+    baseline_air: np.ndarray,
+    axes: np.ndarray,
+    near_liquid_sd: np.ndarray,
+    far_liquid_sd: np.ndarray,
+    near_air_sd: np.ndarray,
+    far_air_sd: np.ndarray,
+    weighted: bool,
+    point: np.ndarray,
+    distance_liquid: np.ndarray,
+    distance_air: np.ndarray,
+    gap: np.ndarray,
+    gap_sd: np.ndarray,
+    angle: np.ndarray,
+    angle_sd: np.ndarray,
+    covariance: np.ndarray,
+) -> None:
+    """Write the crossing of the paths P + sU in liquid and Q + tV in air of every pixel."""
+    cross, common, across_liquid, across_air = np.empty(3), np.empty(3), np.empty(3), np.empty(3)
+    told = np.empty((2, 4))
+    for pixel in range(len(gap)):
+        u, v = liquid[pixel], air[pixel]
+        squared = facing = 0.0
+        for k in range(3):
+            a, b = (k + 1) % 3, (k + 2) % 3
+            cross[k] = u[a] * v[b] - u[b] * v[a]
+            squared += cross[k] ** 2
+            facing += u[k] * v[k]
+        angle[pixel] = np.arctan2(np.sqrt(squared), facing)
+        squared = squared if squared > PARALLEL else np.nan
+        sine = np.sqrt(squared)
+        s = t = apart = 0.0
+        for k in range(3):
+            a, b = (k + 1) % 3, (k + 2) % 3
+            common[k] = cross[k] / sine
+            one, other = near_air[pixel, a] - near_liquid[pixel, a], near_air[pixel, b] - near_liquid[pixel, b]
+            s += (one * v[b] - other * v[a]) * cross[k]
+            t += (one * u[b] - other * u[a]) * cross[k]
+            apart += (near_air[pixel, k] - near_liquid[pixel, k]) * common[k]
+        s, t = s / squared, t / squared
+        for k in range(3):
+            a, b = (k + 1) % 3, (k + 2) % 3
+            across_liquid[k] = common[a] * u[b] - common[b] * u[a]
+            across_air[k] = common[a] * v[b] - common[b] * v[a]
+        lever_liquid, lever_air = s / baseline_liquid[pixel], t / baseline_air[pixel]
+        _tell_noise(
+            axes[0], axes[1], near_liquid_sd[pixel], far_liquid_sd[pixel], lever_liquid, across_liquid, common, told[0]
+        )
+        _tell_noise(axes[2], axes[3], near_air_sd[pixel], far_air_sd[pixel], lever_air, across_air, common, told[1])
+        total = told[0, 2] + told[1, 2]
+        share = (told[1, 2] / total if total > 0 else 0.5) if weighted else 0.5
+        distance_liquid[pixel], distance_air[pixel], gap[pixel], gap_sd[pixel] = s, t, apart, np.sqrt(total)
+        turned = told[0, 3] / baseline_liquid[pixel] ** 2 + told[1, 3] / baseline_air[pixel] ** 2
+        angle_sd[pixel] = np.sqrt(turned)
+        # Shifting line P + sU by d moves the crossing by V (d·(c×U))/sin + share c (c·d), and shifting the other one likewise.
+        both_liquid, both_air = share * told[0, 1] / sine, -(1 - share) * told[1, 1] / sine
+        alone = share**2 * told[0, 2] + (1 - share) ** 2 * told[1, 2]
+        for k in range(3):
+            here, there = near_liquid[pixel, k] + s * u[k], near_air[pixel, k] + t * v[k]
+            point[pixel, k] = share * here + (1 - share) * there
+            for j in range(3):
+                covariance[pixel, k, j] = (
+                    (told[0, 0] * v[k] * v[j] + told[1, 0] * u[k] * u[j]) / squared
+                    + both_liquid * (v[k] * common[j] + common[k] * v[j])
+                    + both_air * (u[k] * common[j] + common[k] * u[j])
+                    + alone * common[k] * common[j]
+                )
+
+
+@compiled
+def _tell_noise(
+    near_axes: np.ndarray,
+    far_axes: np.ndarray,
+    near_sd: np.ndarray,
+    far_sd: np.ndarray,
+    lever: float,
+    across: np.ndarray,
+    common: np.ndarray,
+    told: np.ndarray,
+) -> None:
+    """Write variances of a path's place at a lever: ``across``, with ``common``, along ``common``; and, without a lever, across.
+
+    Each display point errs along two axes, independently. Terms of the order of gap times shift are left out.
+    """
+    told[:] = 0.0
+    for j in range(2):
+        near_across = near_common = far_across = far_common = 0.0
+        for k in range(3):
+            near_across += near_axes[k, j] * across[k]
+            near_common += near_axes[k, j] * common[k]
+            far_across += far_axes[k, j] * across[k]
+            far_common += far_axes[k, j] * common[k]
+        near, far = near_sd[j] ** 2, far_sd[j] ** 2
+        told[3] += near * near_across**2 + far * far_across**2
+        near, far = (1 + lever) ** 2 * near, lever**2 * far
+        told[0] += near * near_across**2 + far * far_across**2
+        told[1] += near * near_across * near_common + far * far_across * far_common
+        told[2] += near * near_common**2 + far * far_common**2
 
 
 def crossing_by_liquid(liquid: LightPaths, air: LightPaths, points: EntryPoints) -> Float64[np.ndarray, "pixels 3 3"]:
@@ -118,43 +191,6 @@ def _by_liquid(
 
 def _liquid_share(variance_air: np.ndarray, total: np.ndarray) -> np.ndarray:
     return np.where(total > 0, variance_air / np.where(total > 0, total, 1.0), 0.5)
-
-
-def _angle_sd(liquid: LightPaths, air: LightPaths, common: np.ndarray) -> np.ndarray:
-    """Return the sd of the angle: of each direction's part in the common plane, across the direction."""
-    variance = np.zeros(len(common))
-    for paths in (liquid, air):
-        variance += paths.turn_variance_along(np.cross(common, paths.direction))
-    return np.sqrt(variance)
-
-
-def _covariance(
-    liquid: LightPaths,
-    air: LightPaths,
-    distance_mm: tuple[np.ndarray, np.ndarray],
-    common: np.ndarray,
-    sine: np.ndarray,
-    share: np.ndarray,
-) -> np.ndarray:
-    """Propagate a small shift of either line to the crossing, leaving out terms of the order of gap times shift.
-
-    Each display point errs along two axes, independently: eight vectors move the crossing.
-    """
-    u, v = liquid.direction, air.direction
-    moves = []
-    for paths, distance, along, across, part in (
-        (liquid, distance_mm[0], v / sine[:, None], np.cross(common, u), share),
-        (air, distance_mm[1], -u / sine[:, None], np.cross(common, v), 1 - share),
-    ):
-        lever = distance / paths.baseline_mm
-        for noise, weight in ((paths.near_noise, 1 + lever), (paths.far_noise, lever)):
-            for axis, sd in zip(noise.axes.T, noise.sd_mm.T, strict=True):
-                size = weight * sd
-                moves.append(
-                    (size * (across @ axis))[:, None] * along + (size * part * (common @ axis))[:, None] * common
-                )
-    stacked = np.stack(moves, axis=2)
-    return np.einsum("pik,pjk->pij", stacked, stacked).astype(np.float32)
 
 
 def _outer(a: np.ndarray, b: np.ndarray) -> np.ndarray:
