@@ -5,8 +5,9 @@ are a smooth function of row and column, whose slopes are two tangents T; n·T =
 """
 
 import numpy as np
-from jaxtyping import Float64
+from jaxtyping import Float64, Int64
 
+from recon.compiled import compiled
 from recon.media.index_estimate import IndexEstimate, robust_weights, variance_by_bands
 
 # Wide enough for the points' noise to average out, narrow enough for a third-order surface.
@@ -36,18 +37,18 @@ def index_from_chords(point_mm: VectorMap, liquid: VectorMap, air: VectorMap, *,
     With A = U·T and D = U·T − n_air V·T, (n_liquid − 1) A + D = 0. A tangent's noise runs along the paths, so that it is in
     A alone: D is regressed upon, and A/D = −1/(n_liquid − 1) is unbiased, whatever the noise.
     """
-    points, u, v = (_blocks(field) for field in (point_mm, liquid, air))
-    known = np.isfinite(points).all(axis=2) & np.isfinite(u).all(axis=2) & np.isfinite(v).all(axis=2)
-    enough = known.mean(axis=1) >= LEAST_SHARE
+    rows, cols = (size // BLOCK_PX for size in point_mm.shape[:2])
+    basis = _cubic_basis()
+    maps = tuple(np.ascontiguousarray(field) for field in (point_mm, liquid, air))
+    counts = np.zeros(rows * cols, np.int64)
+    normal, right = np.zeros((rows * cols, len(POWERS), len(POWERS))), np.zeros((rows * cols, len(POWERS), 9))
+    _write_sums(*maps, basis, cols, counts, normal, right)
+    enough = counts >= LEAST_SHARE * BLOCK_PX**2
     if np.count_nonzero(enough) < FEWEST_BLOCKS:
         return None
-    known = known[enough].astype(np.float64)
-    fields = np.nan_to_num(np.concatenate([points, u, v], axis=2)[enough])
-    basis = _cubic_basis()
-    normal = np.einsum("bk,kt,ks->bts", known, basis, basis, optimize=True)
-    right = np.einsum("bk,kt,bkf->btf", known, basis, fields, optimize=True)
-    fit = np.linalg.solve(normal, right)
-    scatter = _scatter(fields[..., :3], known, basis @ fit[..., :3])
+    counts, normal = counts[enough], normal[enough]
+    fit = np.linalg.solve(normal, right[enough])
+    scatter = _scatter(maps, basis, np.flatnonzero(enough), counts, fit)
     shape = np.linalg.inv(normal)
     a, d, spread = [], [], []
     for places, along_row in ((PLACES, True), (PLACES[:, ::-1], False)):
@@ -69,7 +70,7 @@ def index_from_chords(point_mm: VectorMap, liquid: VectorMap, air: VectorMap, *,
         np.tile(number, 2 * len(PLACES)) for number in np.divmod(np.flatnonzero(enough), point_mm.shape[1] // BLOCK_PX)
     )
     variance = variance_by_bands(regressor, regressor * weight[:, None], residual, row=row, column=column)
-    return IndexEstimate(1 - 1 / ratio, float(np.sqrt(variance)) / ratio**2, int(known.sum()))
+    return IndexEstimate(1 - 1 / ratio, float(np.sqrt(variance)) / ratio**2, int(counts.sum()))
 
 
 def _middle_ratio(dependent: np.ndarray, regressor: np.ndarray, certainty: np.ndarray) -> float:
@@ -81,13 +82,6 @@ def _middle_ratio(dependent: np.ndarray, regressor: np.ndarray, certainty: np.nd
     order = np.argsort(ratio)
     share = np.cumsum(weight[order])
     return float(ratio[order[np.searchsorted(share, 0.5 * share[-1])]])
-
-
-def _blocks(field: VectorMap) -> Float64[np.ndarray, "blocks pixels 3"]:
-    """Cut a map into squares, leaving out what is left at its end."""
-    rows, cols = (size // BLOCK_PX for size in field.shape[:2])
-    cut = field[: rows * BLOCK_PX, : cols * BLOCK_PX].reshape(rows, BLOCK_PX, cols, BLOCK_PX, 3)
-    return cut.transpose(0, 2, 1, 3, 4).reshape(rows * cols, BLOCK_PX**2, 3)
 
 
 def _cubic_basis() -> Float64[np.ndarray, "pixels terms"]:
@@ -108,11 +102,82 @@ def _slopes(row: float, column: float, *, along_row: bool) -> Float64[np.ndarray
     return np.array([i * row ** max(i - 1, 0) * column**j for i, j in POWERS])
 
 
-def _scatter(points: np.ndarray, known: np.ndarray, fitted: np.ndarray) -> Float64[np.ndarray, " blocks"]:
+def _scatter(
+    maps: tuple[VectorMap, VectorMap, VectorMap],
+    basis: Float64[np.ndarray, "pixels terms"],
+    blocks: Int64[np.ndarray, " blocks"],
+    counts: Int64[np.ndarray, " blocks"],
+    fit: Float64[np.ndarray, "blocks terms 9"],
+) -> Float64[np.ndarray, " blocks"]:
     """Return the variance of each block's points about its smooth surface.
 
     No block counts without limit for being smoother than rounding.
     """
-    freedom = np.maximum(known.sum(axis=1) - len(POWERS), 1)
-    scatter = (known[..., None] * (points - fitted) ** 2).sum(axis=(1, 2)) / freedom
+    squares = np.empty(len(blocks))
+    _write_squares(*maps, basis, maps[0].shape[1] // BLOCK_PX, blocks, fit, squares)
+    scatter = squares / np.maximum(counts - len(POWERS), 1)
     return scatter + 1e-6 * np.median(scatter) + np.finfo(np.float64).tiny
+
+
+@compiled
+def _write_sums(
+    point: np.ndarray,
+    liquid: np.ndarray,
+    air: np.ndarray,
+    basis: np.ndarray,
+    cols: int,
+    counts: np.ndarray,
+    normal: np.ndarray,
+    right: np.ndarray,
+) -> None:
+    """Write how many pixels of each block are known, and the equations of the polynomials through them."""
+    terms = basis.shape[1]
+    for block in range(len(counts)):
+        top, first = BLOCK_PX * (block // cols), BLOCK_PX * (block % cols)
+        for place in range(BLOCK_PX**2):
+            row, col = top + place // BLOCK_PX, first + place % BLOCK_PX
+            if not _is_known(point[row, col], liquid[row, col], air[row, col]):
+                continue
+            counts[block] += 1
+            for t in range(terms):
+                term = basis[place, t]
+                for other in range(terms):
+                    normal[block, t, other] += term * basis[place, other]
+                for k in range(3):
+                    right[block, t, k] += term * point[row, col, k]
+                    right[block, t, 3 + k] += term * liquid[row, col, k]
+                    right[block, t, 6 + k] += term * air[row, col, k]
+
+
+@compiled
+def _is_known(point: np.ndarray, liquid: np.ndarray, air: np.ndarray) -> bool:
+    known = True
+    for k in range(3):
+        known &= np.isfinite(point[k]) and np.isfinite(liquid[k]) and np.isfinite(air[k])
+    return known
+
+
+@compiled
+def _write_squares(
+    point: np.ndarray,
+    liquid: np.ndarray,
+    air: np.ndarray,
+    basis: np.ndarray,
+    cols: int,
+    blocks: np.ndarray,
+    fit: np.ndarray,
+    squares: np.ndarray,
+) -> None:
+    """Write what the points of some blocks leave of their polynomials, squared."""
+    for number in range(len(blocks)):
+        top, first = BLOCK_PX * (blocks[number] // cols), BLOCK_PX * (blocks[number] % cols)
+        squares[number] = 0.0
+        for place in range(BLOCK_PX**2):
+            row, col = top + place // BLOCK_PX, first + place % BLOCK_PX
+            if not _is_known(point[row, col], liquid[row, col], air[row, col]):
+                continue
+            for k in range(3):
+                left = point[row, col, k]
+                for t in range(basis.shape[1]):
+                    left -= basis[place, t] * fit[number, t, k]
+                squares[number] += left**2
