@@ -59,6 +59,7 @@ def run_session(
     if calibration is not None:
         session, doubts = with_calibration(session, calibration)
     make_folder(out)
+    threads = settings.threads or usable_cores()
     with timer.stage("decode the photos") as stage:
         kept: list[str] = []
         sweeps = decode_session(session, settings, on_kept=kept.append)
@@ -68,7 +69,7 @@ def run_session(
     session = board.corrected_session(session)
     with timer.stage("points, normals and surface") as stage:
         known = board.slip_covariance()
-        key = outcome_key(session, sweeps, settings, known=known)
+        key = outcome_key(session, sweeps, settings, known=known, threads=threads)
         found = None if settings.force else kept_outcome(out, key)
         stage.kept = found is not None
         findings = sweep_findings(sweeps, session.manifest)
@@ -78,7 +79,7 @@ def run_session(
     with timer.stage("write maps, cloud and mesh") as stage:
         stage.kept = found is not None
         if found is None:
-            views = _write_and_draw(out, outcome, session, key=key, threads=settings.threads or usable_cores())
+            views = _write_and_draw(out, outcome, session, key=key, threads=threads)
     outcome = replace(outcome, warnings=(*doubts, *outcome.warnings))
     with timer.stage("compare the reference photos") as stage:
         scene, stage.kept = scene_of(session, outcome.maps, out=out, outcome_key=key, force=settings.force)
@@ -224,7 +225,7 @@ def write_arrays(out: Path, outcome: Outcome, *, key: str, threads: int) -> None
             jobs = [pool.submit(save_maps, outcome.maps, out / MAPS_NAME), pool.submit(_write_surface, out, outcome)]
         for job in jobs:
             job.result()
-        keep_outcome(out, key, outcome)
+        keep_outcome(out, key, outcome, threads=threads)
     except OSError as error:
         raise ReconError(f"{out}: cannot be written ({error.strerror}); free some space") from error
 

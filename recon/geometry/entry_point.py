@@ -47,16 +47,23 @@ def entry_points(liquid: LightPaths, air: LightPaths, *, weighted: bool, threads
     paths' variances instead. Parallel paths give NaN. So many ``threads`` share the pixels.
     """
     count = len(liquid.direction)
-    result = EntryPoints(
-        np.empty((count, 3)), *(np.empty(count) for _ in range(6)), np.empty((count, 3, 3), np.float32)
-    )
+
+    def room(*shape: int) -> np.ndarray:
+        return np.empty((count, *shape))
+
+    covariance = np.empty((count, 3, 3), np.float32)
+    result = EntryPoints(room(3), room(), room(), room(), room(), room(), room(), covariance)
     noises = [noise for paths in (liquid, air) for noise in (paths.near_noise, paths.far_noise)]
     axes = np.stack([noise.axes for noise in noises])
 
     def cross(band: slice) -> None:
-        given = (one[band] for paths in (liquid, air) for one in (paths.near_mm, paths.direction, paths.baseline_mm))
-        found = (getattr(result, name)[band] for name in EntryPoints.__slots__)
-        _write_crossings(*given, axes, *(noise.sd_mm[band] for noise in noises), weighted, *found)
+        wet, dry, found = liquid.some(band), air.some(band), result.some(band)
+        _write_crossings(
+            *(wet.near_mm, wet.direction, wet.baseline_mm, dry.near_mm, dry.direction, dry.baseline_mm),
+            *(axes, wet.near_noise.sd_mm, wet.far_noise.sd_mm, dry.near_noise.sd_mm, dry.far_noise.sd_mm, weighted),
+            *(found.point_mm, found.distance_liquid_mm, found.distance_air_mm, found.gap_mm, found.gap_sd_mm),
+            *(found.angle_rad, found.angle_sd_rad, found.covariance),
+        )
 
     over_bands(cross, count, threads=threads)
     return result

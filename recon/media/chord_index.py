@@ -39,7 +39,7 @@ def index_from_chords(point_mm: VectorMap, liquid: VectorMap, air: VectorMap, *,
     """
     rows, cols = (size // BLOCK_PX for size in point_mm.shape[:2])
     basis = _cubic_basis()
-    maps = tuple(np.ascontiguousarray(field) for field in (point_mm, liquid, air))
+    maps = (np.ascontiguousarray(point_mm), np.ascontiguousarray(liquid), np.ascontiguousarray(air))
     counts = np.zeros(rows * cols, np.int64)
     normal, right = np.zeros((rows * cols, len(POWERS), len(POWERS))), np.zeros((rows * cols, len(POWERS), 9))
     _write_sums(*maps, basis, cols, counts, normal, right)

@@ -3,6 +3,7 @@
 import hashlib
 import json
 from collections.abc import Mapping
+from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 from typing import get_type_hints
 
@@ -33,12 +34,15 @@ def outcome_key(
     settings: Settings,
     *,
     known: MotionCovariance | None = None,
+    threads: int = 1,
 ) -> str:
     """Return the hash of all that the outcome follows from: places, manifest, mask, calibration, settings and program.
 
     ``known`` is what the session's photos of a board leave unknown of the slips, as :func:`~recon.running.outcome.reconstruct`
-    takes it.
+    takes it. So many ``threads`` share the sweeps.
     """
+    with ThreadPoolExecutor(threads) as pool:
+        hashes = list(pool.map(_hash_of, sweeps.values()))
     calibration = calibration_path(session, settings.calibration)
     mask = session.manifest.mask
     parts = {
@@ -48,15 +52,20 @@ def outcome_key(
         "mask": file_hash(session.folder / mask) if mask is not None else None,
         "calibration": file_hash(calibration) if calibration is not None else None,
         "known": None if known is None else np.asarray(known).tolist(),
-        "sweeps": {f"{name}/{axis}": _hash_of(sweep) for (name, axis), sweep in sweeps.items()},
+        "sweeps": {f"{name}/{axis}": value for (name, axis), value in zip(sweeps, hashes, strict=True)},
     }
     return hashlib.sha256(json.dumps(parts, sort_keys=True, default=str).encode()).hexdigest()
 
 
 def _hash_of(sweep: SweepResult) -> str:
-    digest = hashlib.sha256(repr((sweep.noise, sweep.misfit)).encode())
+    """Return the hash of a sweep's arrays; which pixels have a number is told in bits, since most of a photo may be dark."""
+    digest = hashlib.blake2b(repr((sweep.noise, sweep.misfit)).encode())
     for array in (getattr(sweep, name) for name in ARRAYS):
-        if array is not None:
+        if array is not None and array.dtype.kind == "f":
+            there = ~np.isnan(array)
+            digest.update(np.packbits(there).data)
+            digest.update(array[there].data)
+        elif array is not None:
             digest.update(np.ascontiguousarray(array).data)
     return digest.hexdigest()
 
@@ -74,11 +83,11 @@ def kept_outcome(out: Path, key: str) -> Outcome | None:
         return None
 
 
-def keep_outcome(out: Path, key: str, outcome: Outcome) -> None:
-    """Keep an outcome whose files were just written to ``out``; raises ``OSError``."""
+def keep_outcome(out: Path, key: str, outcome: Outcome, *, threads: int = 1) -> None:
+    """Keep an outcome whose files were just written to ``out``; so many ``threads`` read them again. Raises ``OSError``."""
     files = (MAPS_NAME, CLOUD_NAME, *((MESH_NAME, GLB_NAME) if outcome.mesh is not None else ()))
     found = {name: adapter.dump_python(getattr(outcome, name), mode="json") for name, adapter in ADAPTERS.items()}
-    keep_stage(out, STAGE, key, files=files, found=found)
+    keep_stage(out, STAGE, key, files=files, found=found, threads=threads)
 
 
 def forget_outcome(out: Path) -> None:

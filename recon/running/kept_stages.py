@@ -6,6 +6,7 @@ files it wrote. A stage is kept where its key is the one asked for and its files
 
 import hashlib
 from collections.abc import Sequence
+from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 from typing import Any
 
@@ -46,9 +47,12 @@ def kept_stage(out: Path, stage: str, key: str) -> KeptStage | None:
         return None
 
 
-def keep_stage(out: Path, stage: str, key: str, *, files: Sequence[str], found: dict[str, Any]) -> None:
-    """Keep a stage in place of what was kept of it before; raises ``OSError``."""
-    hashes = {name: file_hash(out / name) for name in files}
+def keep_stage(
+    out: Path, stage: str, key: str, *, files: Sequence[str], found: dict[str, Any], threads: int = 1
+) -> None:
+    """Keep a stage in place of what was kept of it before; so many ``threads`` read its files. Raises ``OSError``."""
+    with ThreadPoolExecutor(threads) as pool:
+        hashes = dict(zip(files, pool.map(file_hash, [out / name for name in files]), strict=True))
     _write(out, {**_book(out).stages, stage: KeptStage(key=key, files=hashes, found=found)})
 
 

@@ -28,6 +28,8 @@ if TYPE_CHECKING:
 # Sharp profiles are seen in one or two photos; a broad footprint spreads them over some more.
 NEIGHBOURS_BEYOND_PROFILE = 3
 PIXELS_AT_ONCE = 1 << 15
+# By status: whether a pixel has a place.
+KNOWN = np.isin(np.arange(256), (PixelStatus.OK, PixelStatus.TWO_PATHS, PixelStatus.HALF_SEEN))
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -54,7 +56,7 @@ class SweepResult:
 
     def known(self) -> Bool[np.ndarray, "rows cols"]:
         """Return the pixels that have a place: those that saw the stripe once, twice, or with less than half of their area."""
-        return np.isin(self.status, (PixelStatus.OK, PixelStatus.TWO_PATHS, PixelStatus.HALF_SEEN))
+        return KNOWN[self.status]
 
 
 def decode_sweep(

@@ -128,10 +128,11 @@ def _combine(every: np.ndarray, rank: np.ndarray, status: np.ndarray) -> None:
 
 def path_count(sweeps: SweepResults) -> UInt8[np.ndarray, "rows cols"]:
     """Return by how many light paths each pixel sees the display, as far as any sweep tells: 0, 1 or 2."""
+    paths = np.full(256, 1, np.uint8)
+    paths[PixelStatus.UNLIT], paths[PixelStatus.TWO_PATHS] = 0, 2
     count: np.ndarray | None = None
     for one in sweeps.values():
-        lit = (one.status != PixelStatus.UNLIT).astype(np.uint8)
-        lit[one.status == PixelStatus.TWO_PATHS] = 2
+        lit = paths[one.status]
         count = lit if count is None else np.maximum(count, lit, out=count)
     assert count is not None, "a session has sweeps"
     return count
