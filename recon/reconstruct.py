@@ -1,12 +1,14 @@
 """From the correspondences of four sets to points and normals on the camera grid: pure arrays, no files."""
 
 from collections.abc import Mapping
+from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, replace
+from functools import partial
 
 import numpy as np
 from jaxtyping import Bool, Float64, Int64, UInt8
 
-from recon.bands import over_bands
+from recon.bands import over_bands, side_by_side
 from recon.geometry.beside import liquid_surface
 from recon.geometry.crossing_tests import crossing_tests
 from recon.geometry.entry_point import EntryPoints, entry_points
@@ -14,7 +16,7 @@ from recon.geometry.light_paths import LightPaths, light_paths
 from recon.geometry.normals import normal_sd_rad, normals_from_angles, normals_from_paths
 from recon.maps import Maps
 from recon.method import Limits, Method
-from recon.sessions.manifest import Manifest
+from recon.sessions.manifest import CaptureSet, Manifest
 from recon.status import PixelStatus
 from recon.sweeps.set_places import (
     Correspondences,
@@ -84,14 +86,17 @@ def cross_paths(
     choice = _choices(sweeps, twice, manifest, method=method, limits=limits)
     status[twice[choice >= 0]] = PixelStatus.OK
     pixels = np.flatnonzero(status == PixelStatus.OK)
-    by_name = {}
-    for one in manifest.sets:
+
+    def places_of(one: CaptureSet) -> Correspondences:
         found = correspondences(sweeps, one, manifest, pixels)
         by_lesser = twice[np.isin(choice, [k for k, media in enumerate(CHOICES) if one.condition in media])]
-        if len(by_lesser):
-            lesser = second_correspondences(sweeps, one, manifest, by_lesser)
-            found = found.with_rows_of(lesser, np.searchsorted(pixels, by_lesser))
-        by_name[one.name] = found
+        if not len(by_lesser):
+            return found
+        lesser = second_correspondences(sweeps, one, manifest, by_lesser)
+        return found.with_rows_of(lesser, np.searchsorted(pixels, by_lesser))
+
+    with ThreadPoolExecutor(threads) as pool:
+        by_name = dict(zip((one.name for one in manifest.sets), pool.map(places_of, manifest.sets), strict=True))
     paths, points = _crossed(by_name, manifest, method=method, threads=threads)
     route = normals_from_angles if method == "paper" else normals_from_paths
     media = {"n_liquid": manifest.n_liquid(), "n_air": manifest.n_air}
@@ -174,10 +179,13 @@ def _crossed(
     by_name: Mapping[str, Correspondences], manifest: Manifest, *, method: Method, threads: int = 1
 ) -> tuple[dict[str, LightPaths], EntryPoints]:
     """Make the paths in liquid and in air, and cross them."""
-    paths = {
-        condition: paths_of(by_name, manifest, condition, n_medium=n, method=method)
-        for condition, n in (("liquid", manifest.n_liquid()), ("air", manifest.n_air))
-    }
+    make = partial(paths_of, by_name, manifest, method=method)
+    liquid, air = side_by_side(
+        partial(make, "liquid", n_medium=manifest.n_liquid()),
+        partial(make, "air", n_medium=manifest.n_air),
+        threads=threads,
+    )
+    paths = {"liquid": liquid, "air": air}
     return paths, entry_points(paths["liquid"], paths["air"], weighted=method == "full", threads=threads)
 
 

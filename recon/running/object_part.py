@@ -1,6 +1,7 @@
 """The part of the photo that holds every pixel with places in all sets: what is made of them needs no more memory than that."""
 
 from collections.abc import Mapping
+from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -67,19 +68,21 @@ class ObjectPart:
             place_px = one.place_px if name.endswith("_air") else nothing
             self.sweeps[name, axis] = replace(one, place_px=place_px, sd_px=nothing)
 
-    def on_photo(self, maps: Maps) -> Maps:
-        """Lay the maps of the part out on the photo."""
+    def on_photo(self, maps: Maps, *, threads: int = 1) -> Maps:
+        """Lay the maps of the part out on the photo, so many at a time."""
         if self.window.shape == self.status.shape:
             return maps
         values = {name: getattr(maps, name) for name in (*NAMES, *OPTIONAL_NAMES)}
         status = self.status.copy()
         status[self.window.part] = values.pop("status")
         rows = len(status)
-        laid_out = {
-            name: self.window.on_photo(one, rows, nothing=NOTHING.get(name, np.nan))
-            for name, one in values.items()
-            if one is not None
-        }
+        there = {name: one for name, one in values.items() if one is not None}
+
+        def lay_out(name: str) -> np.ndarray:
+            return self.window.on_photo(there[name], rows, nothing=NOTHING.get(name, np.nan))
+
+        with ThreadPoolExecutor(threads) as pool:
+            laid_out = dict(zip(there, pool.map(lay_out, there), strict=True))
         return Maps(status=status, **laid_out)
 
 

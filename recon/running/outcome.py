@@ -1,12 +1,13 @@
 """From correspondences to maps, mesh and their statistics, by the session's method."""
 
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass, replace
 from functools import partial
 
 import numpy as np
 from jaxtyping import UInt8
 
+from recon.bands import side_by_side
 from recon.batch.cores import usable_cores
 from recon.calibration.calibration_file import read_calibration
 from recon.calibration.session_calibration import calibration_path
@@ -108,7 +109,8 @@ def reconstruct_taking(
     give_back_free_memory()
     found = _reconstruct(session, part, settings, known=known)
     give_back_free_memory()
-    return replace(found, maps=_with_path_count(part.on_photo(found.maps), paths))
+    on_photo = part.on_photo(found.maps, threads=settings.threads or usable_cores())
+    return replace(found, maps=_with_path_count(on_photo, paths))
 
 
 def _reconstruct(
@@ -124,18 +126,25 @@ def _reconstruct(
         cross_paths, sweeps, method=settings.method, limits=settings.limits, inside_mask=mask, threads=threads
     )
     status, crossing = cross(manifest)
-    index = chosen_index(stated, measured_index(crossing, manifest))
+    index, spots = None, None
     if stated is None:
+        index = chosen_index(None, measured_index(crossing, manifest))
         manifest = with_index(manifest, index.n)
         status, crossing = cross(manifest)
         crossing = with_index_uncertainty(crossing, manifest, sd=index.sd or 0.0)
+    shape = (manifest.camera.rows, manifest.camera.columns)
+    before = status.reshape(shape)
+    look = partial(spot_pixels, sweeps, before, corner=part.corner) if settings.method == "full" else lambda: None
+    if index is None:
+        measured, spots = side_by_side(partial(measured_index, crossing, manifest), look, threads=threads)
+        index = chosen_index(stated, measured)
+    else:
+        spots = look()
     if registration is not None:
         crossing = with_carried(crossing, registration, manifest)
-    shape = (manifest.camera.rows, manifest.camera.columns)
     own, apart, shared, ratio = None, None, None, None
-    before = status.reshape(shape)
-    if settings.method == "full":
-        status, crossing = without_spots(status, crossing, spot_pixels(sweeps, before, corner=part.corner))
+    if spots is not None:
+        status, crossing = without_spots(status, crossing, spots)
         shared = shared_gaps(crossing, shape=shape)
         status, crossing = with_gaps_of_area(status, crossing, shared, manifest, sigma=settings.limits.gap_sigma)
         crossing = with_shared_gaps(crossing, shared, n_liquid=manifest.n_liquid(), n_air=manifest.n_air)
@@ -160,23 +169,29 @@ def _reconstruct(
         apart=apart,
         threads=threads,
     )
-    doubts: tuple[str, ...] = ()
+    doubt: Callable[[], tuple[str, ...]] = tuple
     if shared is not None:
-        doubts = assumption_doubts(sweeps, crossing, surface.maps, before, shared, corner=part.corner)
+        doubt = partial(assumption_doubts, sweeps, crossing, surface.maps, before, shared, corner=part.corner)
+    mesh, statistics, doubts = side_by_side(
+        surface.mesh,
+        partial(map_statistics, surface.maps, crossing),
+        doubt,
+        threads=threads,
+    )
     told = registration.sentences(manifest.length_unit) if registration is not None else ()
-    mesh, doubt = drawn_mesh(surface.mesh)
+    mesh, no_mesh = drawn_mesh(mesh)
     return Outcome(
         surface.maps,
         mesh,
         ratio,
-        map_statistics(surface.maps, crossing),
+        statistics,
         (
             *told,
             *index_sentences(index),
             *_warnings(manifest),
             *surface.warnings,
             *_covered_sentences(surface.maps),
-            *doubt,
+            *no_mesh,
         ),
         record_of(registration) if registration is not None else None,
         index,

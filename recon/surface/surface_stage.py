@@ -1,6 +1,8 @@
 """The surface of a session: which integration each method uses, and what it needs to know of the camera."""
 
+from collections.abc import Callable
 from dataclasses import dataclass, replace
+from functools import partial
 
 import numpy as np
 
@@ -32,10 +34,10 @@ NO_CAMERA = (
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Surface:
-    """The maps as the surface leaves them, the mesh, and what the reader should know."""
+    """The maps as the surface leaves them, what makes the mesh when it is asked for, and what the reader should know."""
 
     maps: Maps
-    mesh: Mesh | None
+    mesh: Callable[[], Mesh | None]
     warnings: tuple[str, ...] = ()
 
 
@@ -55,12 +57,12 @@ def surface_of(
     that are ``apart`` have a surface of their own, so that what is wrong with them does not reach the others.
     """
     if not maps.valid().any():
-        return Surface(maps, None, ("No point was found, so there is no mesh.",))
+        return Surface(maps, lambda: None, ("No point was found, so there is no mesh.",))
     if method == "full":
         media = {"n_liquid": manifest.n_liquid(), "n_air": manifest.n_air}
         surface = _fused_apart(maps, crossing, apart, **media, threads=threads)
         whole = surface if own is None else with_covered(without_strays(surface, threads=threads), own, threads=threads)
-        return Surface(whole, mesh_from_point_map(whole.point_mm, whole.normal, whole.with_point()))
+        return Surface(whole, partial(mesh_from_point_map, whole.point_mm, whole.normal, whole.with_point()))
     return integrated_surface(maps, manifest.camera)
 
 
@@ -69,7 +71,7 @@ def integrated_surface(maps: Maps, camera: CameraBody) -> Surface:
     valid = maps.valid()
     rays = sight_rays(camera)
     if rays is None:
-        return Surface(maps, mesh_from_point_map(maps.point_mm, maps.normal, valid), (NO_CAMERA,))
+        return Surface(maps, partial(mesh_from_point_map, maps.point_mm, maps.normal, valid), (NO_CAMERA,))
     centre, direction = rays
     depth = ((maps.point_mm - centre) * direction).sum(axis=2)
     surface = integrate_perspective(
@@ -80,7 +82,7 @@ def integrated_surface(maps: Maps, camera: CameraBody) -> Surface:
         anchor_depth_mm=depth,
         integration="discrete",
     )
-    return Surface(maps, mesh_from_point_map(surface.point_mm, maps.normal, valid))
+    return Surface(maps, partial(mesh_from_point_map, surface.point_mm, maps.normal, valid))
 
 
 def _fused_apart(

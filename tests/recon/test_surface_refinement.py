@@ -7,7 +7,6 @@ import pytest
 from ray_field import crossed, exact_places, noisy_sweeps, scene_manifest
 
 from recon.evaluation.spread import angle_between_rad
-from recon.geometry import entry_point
 from recon.maps import Maps, Support
 from recon.method import Limits
 from recon.reconstruct import cross_paths, maps_of
@@ -247,8 +246,7 @@ def test_normals_are_as_far_off_as_their_standard_deviations_say(hemisphere: tup
     assert np.mean(ratio < np.sqrt(-np.log(0.05))) == pytest.approx(0.95, abs=0.02)
 
 
-def test_a_surface_is_the_same_to_the_last_bit_however_many_threads_share_it(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(entry_point, "PIXELS_AT_ONCE", 50)
+def test_a_surface_is_the_same_to_the_last_bit_however_many_threads_share_it() -> None:
     scene = load_scene("hemisphere").resized(camera_columns=72)
     manifest = scene_manifest(scene)
     sweeps = noisy_sweeps(exact_places(scene), sd_px=0.05, rng=np.random.default_rng(4))
