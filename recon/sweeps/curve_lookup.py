@@ -34,13 +34,12 @@ def looked_up(
 @lru_cache(maxsize=4)
 def table_arrays(table: CurveTable) -> TableArrays:
     """Return the table for compiled loops, which see the curves that are filled in later, too."""
-    _, nodes, alignments, entries = table.value.shape
+    _, nodes, _, alignments, steps, _ = table.curves.shape
     return TableArrays(
-        value=table.value.ravel(),
-        slope=table.slope.ravel(),
+        pairs=table.curves.reshape(-1).view(np.int64),
         nodes=nodes,
         alignments=alignments,
-        entries=entries,
+        steps=steps,
         alignment_of=table.alignment_of,
         pad=table.pad,
         entries_a_step=table.entries_a_step,

@@ -41,12 +41,15 @@ THINNEST_PX = 0.03
 GAUSSIAN_REACH_SD = 5.0
 
 
-Curves = Float32[np.ndarray, "shapes nodes alignments entries"]
+Curves = Float32[np.ndarray, "shapes nodes phases alignments steps 2"]
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class CurveTable:
-    """The curves of one pattern: brightness 0 to 1 (``value``) and its derivative by the distance (``slope``).
+    """The curves of one pattern: brightness 0 to 1 and its derivative by the distance, side by side.
+
+    Entries a whole number of steps apart follow each other, for a pixel's samples show such: of ``entries_a_step`` phases, entry
+    e is number e // phases of the phase e % phases.
 
     ``log_width`` are the width nodes, ``spacing_px`` and ``reach_px`` the spacing and range of the distances (from the stripe's
     centre to the footprint's), ``alignments_px`` the different places of a stripe's centre on its device pixel, and
@@ -62,8 +65,7 @@ class CurveTable:
     alignments_px: Float64[np.ndarray, " alignments"]
     alignment_of: Int64[np.ndarray, " stripes"]
     pad: int
-    value: Curves
-    slope: Curves
+    curves: Curves
     filled: Bool[np.ndarray, "shapes nodes"]
 
     def fill_about(
@@ -86,15 +88,21 @@ class CurveTable:
                 self._fill_one(int(shape), int(node))
 
     def _fill_one(self, shape: int, node: int) -> None:
-        dark = self.pad * self.entries_a_step
+        phases, _, steps, _ = self.curves.shape[2:]
+        dark = self.pad * phases
         for kind, offset_px in enumerate(self.alignments_px):
-            for curves, one in zip(
-                (self.value, self.slope),
-                _curve(float(np.exp(self.log_width[node])), shape, float(offset_px), self),
-                strict=True,
-            ):
-                curves[shape, node, kind] = np.pad(one, dark, mode="edge")
+            both = _curve(float(np.exp(self.log_width[node])), shape, float(offset_px), self)
+            for number, one in enumerate(both):
+                padded = np.pad(one, (dark, phases * steps - dark - len(one)), mode="edge")
+                self.curves[shape, node, :, kind, :, number] = padded.reshape(steps, phases).T
         self.filled[shape, node] = True
+
+    def values(
+        self, wanted: Bool[np.ndarray, "shapes nodes"], *, first: int, spacing: int
+    ) -> Float32[np.ndarray, "rows alignments entries"]:
+        """Return the brightness of the wanted curves, every ``spacing``-th entry from ``first`` on."""
+        value = self.curves[:, :, first::spacing, ..., 0][wanted]
+        return np.moveaxis(value, 1, -1).reshape(len(value), len(self.alignments_px), -1)
 
     @property
     def entries_a_step(self) -> int:
@@ -160,10 +168,10 @@ def curve_table(pattern: StripePattern, *, half_width: int, continuous: bool) ->
     log_width = np.log(thinnest) + NODE_SPACING * np.arange(nodes)
     pad = half_width + 1
     alignments, alignment_of = _alignments(pattern, pad=pad, continuous=continuous)
-    entries = round(2 * reach / spacing) + 1 + 2 * pad * round(step / spacing)
+    phases = round(step / spacing)
+    steps = 2 * pad + -(-(round(2 * reach / spacing) + 1) // phases)
     # Most shapes are never filled in.
-    size = (len(SHAPES), nodes, len(alignments), entries)
-    value, slope = (zeros_taken_when_written(size, np.float32) for _ in range(2))
+    curves = zeros_taken_when_written((len(SHAPES), nodes, phases, len(alignments), steps, 2), np.float32)
     return CurveTable(
         pattern=pattern,
         continuous=continuous,
@@ -173,8 +181,7 @@ def curve_table(pattern: StripePattern, *, half_width: int, continuous: bool) ->
         alignments_px=alignments,
         alignment_of=alignment_of,
         pad=pad,
-        value=value,
-        slope=slope,
+        curves=curves,
         filled=np.zeros((len(SHAPES), nodes), dtype=bool),
     )
 

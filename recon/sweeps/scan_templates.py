@@ -3,13 +3,15 @@
 from functools import lru_cache
 
 import numpy as np
-from jaxtyping import Float64, Int64
+from jaxtyping import Float32, Float64, Int64
 
 from recon.sweeps.curve_table import SHAPES, CurveTable
 from recon.sweeps.stripe_scan import COARSE_PLACES_A_STEP, FINE_PLACES_A_PX, HERMITE_NODES, MOST_FINE_PLACES, Templates
 
 # One shape of footprint does for finding where the walk starts.
 COARSE_SHAPE = SHAPES.index((0.5, 0.5))
+# What is less than this share of a curve's highest value is rounded away in sums of single precision.
+DARK_SHARE = 1e-8
 
 
 @lru_cache(maxsize=4)
@@ -47,10 +49,10 @@ def _templates(
     wanted[shape, node] = True
     table.fill(wanted)
     number = np.cumsum(wanted).reshape(wanted.shape) - 1
-    first = table.middle_entry % spacing
-    rows = table.value[..., first::spacing][wanted]
+    rows = table.values(wanted, first=table.middle_entry % spacing, spacing=spacing)
     templates = Templates(
         rows=rows.ravel(),
+        lit=_lit(rows),
         alignments=rows.shape[1],
         entries=rows.shape[2],
         middle=table.middle_entry // spacing,
@@ -62,3 +64,10 @@ def _templates(
         pad=table.pad,
     )
     return templates, number[shape, node]
+
+
+def _lit(rows: Float32[np.ndarray, "rows alignments entries"]) -> Int64[np.ndarray, "rows 2"]:
+    """Return the first and the last entry of each row where some curve is more than rounding leaves of it."""
+    height = np.abs(rows).max(axis=1)
+    lit = height > DARK_SHARE * height.max(axis=1, keepdims=True)
+    return np.stack([lit.argmax(axis=1), lit.shape[1] - 1 - lit[:, ::-1].argmax(axis=1)], axis=1)

@@ -19,16 +19,19 @@ SETTLED_WIDTH_SD = 0.5
 # Where the curve is as flat as the background the two are not told apart.
 SINGULAR = 1e-7
 LEAST = 1e-12
+# Indices without a sign: those with one are searched for negative ones.
+ONE, TWO, THREE, FOUR, ALL_LANES = (np.uintp(number) for number in (1, 2, 3, 4, LANES))
 
 
 class TableArrays(NamedTuple):
     """A table of curves (``curve_table.py``) for compiled loops: its arrays in one row each, and its numbers."""
 
-    value: np.ndarray  # [shapes · nodes · alignments · entries] float32
-    slope: np.ndarray
+    pairs: (
+        np.ndarray
+    )  # [shapes · nodes · phases · alignments · steps] int64, each the bits of value and slope in float32
     nodes: int
     alignments: int
-    entries: int
+    steps: int
     alignment_of: np.ndarray  # [stripes] int64, from −pad on
     pad: int
     entries_a_step: int
@@ -67,28 +70,31 @@ def look_up_pixels(
     ``place_px`` is counted from the place of the stripe ``peak``; ``found`` [3, pixels, samples] float64.
     """
     count = found.shape[2]
-    lanes, curve = np.empty(LANES, dtype=np.int64), np.empty((3, count, LANES))
+    lanes, _, curve, pair = _rooms(count)
     for low in range(0, len(peak), LANES):
         for k in range(LANES):
             lanes[k] = min(low + k, len(peak) - 1)
-        _look_up(lanes, place_px, log_width, shape, peak, table, curve)
+        _look_up(lanes, place_px, log_width, shape, peak, table, pair, curve)
         for k in range(min(LANES, len(peak) - low)):
             for s in range(count):
                 for one in range(3):
-                    found[one, low + k, s] = curve[one, s, k]
+                    found[one, low + k, s] = curve[(3 * s + one) * LANES + k]
 
 
 @compiled
 def weigh_pixels(some: np.ndarray, pixels: Pixels, place_px: np.ndarray, table: TableArrays) -> None:
     """Weigh the samples of ``some`` pixels anew, by the heights of curves of known widths at ``place_px``: without noise."""
     number, count = len(some), pixels.height.shape[1]
-    lanes, curve, sample = np.empty(LANES, dtype=np.int64), np.empty((3, count, LANES)), np.empty((2, count, LANES))
+    lanes, sample, curve, pair = _rooms(count)
+    weights = pixels.weight
     for low in range(0, number, LANES):
         for k in range(LANES):
             lanes[k] = some[min(low + k, number - 1)]
         _load(lanes, pixels, sample)
-        _look_up(lanes, place_px, pixels.log_width, pixels.shape, pixels.peak, table, curve)
-        _weigh(lanes, pixels, curve, sample)
+        _look_up(lanes, place_px, pixels.log_width, pixels.shape, pixels.peak, table, pair, curve)
+        _weigh(pixels.read, pixels.gain, pixels.relative, curve, sample)
+        for k in range(LANES):
+            _keep_weights(sample, k, weights, lanes[k])
 
 
 @compiled
@@ -113,18 +119,17 @@ def step_pixels(
     count, number = pixels.height.shape[1], len(moving)
     lowest, highest = table.thinnest, table.thinnest + table.node_spacing * (table.nodes - 1)
     limit_px = LARGEST_STEP * table.step_px
-    lanes, curve, sample = np.empty(LANES, dtype=np.int64), np.empty((3, count, LANES)), np.empty((2, count, LANES))
-    found = np.empty((9, LANES))
-    known_width, known_sd = pixels.log_width, pixels.width_sd
+    lanes, sample, curve, pair = _rooms(count)
+    known_width, known_sd, weights = pixels.log_width, pixels.width_sd, pixels.weight
     left = 0
     for low in range(0, number, LANES):
         for k in range(LANES):
             lanes[k] = moving[min(low + k, number - 1)]
         _load(lanes, pixels, sample)
-        _look_up(lanes, place_px, log_width, pixels.shape, pixels.peak, table, curve)
+        _look_up(lanes, place_px, log_width, pixels.shape, pixels.peak, table, pair, curve)
         if weigh:
-            _weigh(lanes, pixels, curve, sample)
-        _linearise(lanes, pixels, log_width, sample, curve, limit_px, found)
+            _weigh(pixels.read, pixels.gain, pixels.relative, curve, sample)
+        found = _linearise(lanes, pixels, log_width, sample, curve, limit_px)
         for k in range(min(LANES, number - low)):
             one = lanes[k]
             place, width = place_px[one], log_width[one]
@@ -149,7 +154,20 @@ def step_pixels(
                 place_px[one], log_width[one] = place, width
                 moving[left] = one
                 left += 1
+                if weigh:
+                    _keep_weights(sample, k, weights, one)
     return left
+
+
+@compiled
+def _rooms(count: int) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
+    """Return room for the numbers of the lanes' pixels, and for what belongs to each of so many samples, the lanes side by side.
+
+    That is height and weight; the curve and its two derivatives; and what these are made of at two nodes. Each lies in one row,
+    sample after sample: so the compiler knows how far apart two of them are, and that a loop may take all lanes at once.
+    """
+    size = count * LANES
+    return np.empty(LANES, dtype=np.int64), np.empty(2 * size), np.empty(3 * size), np.empty(2 * size, dtype=np.int64)
 
 
 @compiled
@@ -157,10 +175,18 @@ def _load(lanes: np.ndarray, pixels: Pixels, sample: np.ndarray) -> None:
     """Lay height and weight of the samples of the lanes' pixels side by side."""
     # A field of a tuple is taken out once, which the compiler does not do for a loop.
     height, weight = pixels.height, pixels.weight
-    for k in range(LANES):
-        for s in range(sample.shape[1]):
-            sample[0, s, k] = height[lanes[k], s]
-            sample[1, s, k] = weight[lanes[k], s]
+    for k in range(ALL_LANES):
+        one = np.uintp(lanes[k])
+        for s in range(np.uintp(height.shape[1])):
+            at = TWO * s * ALL_LANES + k
+            sample[at], sample[at + ALL_LANES] = height[one, s], weight[one, s]
+
+
+@compiled
+def _keep_weights(sample: np.ndarray, lane: int, weights: np.ndarray, pixel: int) -> None:
+    """Write the weights of a lane's samples to those of its pixel."""
+    for s in range(weights.shape[1]):
+        weights[pixel, s] = sample[(2 * s + 1) * LANES + lane]
 
 
 @compiled
@@ -171,67 +197,85 @@ def _look_up(
     shape: np.ndarray,
     peak: np.ndarray,
     table: TableArrays,
+    pair: np.ndarray,
     curve: np.ndarray,
 ) -> None:
     """Write the curves of the lanes' pixels at their samples, and the derivatives by place and by the width's logarithm.
 
-    Widths are interpolated between two nodes; places are Taylor-expanded from the nearest entry.
+    Widths are interpolated between two nodes; places are Taylor-expanded from the nearest entry. ``pair`` is room for values and
+    slopes at both nodes.
     """
+    count = len(pair) // (2 * LANES)
+    half = count // 2
     share, rest_px = np.empty(LANES), np.empty(LANES)
     first, stripe = np.empty(LANES, dtype=np.int64), np.empty(LANES, dtype=np.int64)
-    values, slopes, alignment_of = table.value, table.slope, table.alignment_of
-    dark = table.pad * table.entries_a_step
-    last = table.entries - 1 - 2 * dark
-    for k in range(LANES):
-        one = lanes[k]
-        position = (log_width[one] - table.thinnest) / table.node_spacing
-        from_end = (place_px[one] + table.reach_px) / table.spacing_px
+    node, step, phase = np.empty(LANES), np.empty(LANES), np.empty(LANES)
+    pairs, alignment_of, steps = table.pairs, table.alignment_of, table.steps
+    a_step, thinnest, reach_px = float(table.entries_a_step), table.thinnest, table.reach_px
+    node_spacing, spacing_px = table.node_spacing, table.spacing_px
+    last, last_node = float((steps - 2 * table.pad) * table.entries_a_step - 1), table.nodes - 1.0
+    for k in range(ALL_LANES):
+        share[k], rest_px[k] = log_width[lanes[k]], place_px[lanes[k]]
+    for k in range(ALL_LANES):
+        position, from_end = (share[k] - thinnest) / node_spacing, (rest_px[k] + reach_px) / spacing_px
         # Far places lie where every curve is dark; what is no number stays within the table, too, for no index is checked.
-        position = min(position if position > 0.0 else 0.0, table.nodes - 1.0)
-        node = min(int(position), table.nodes - 2)
-        nearest = np.rint(min(from_end if from_end > 0.0 else 0.0, float(last)))
-        share[k], rest_px[k] = position - node, (from_end - nearest) * table.spacing_px
-        first[k] = (shape[one] * table.nodes + node) * table.alignments * table.entries + int(nearest) + dark
-        stripe[k] = peak[one] + table.pad
-    to_next = np.uintp(table.alignments * table.entries)
-    for s in range(curve.shape[1]):
-        offset = s - curve.shape[1] // 2
-        for k in range(LANES):
-            kind = alignment_of[np.uintp(stripe[k] + offset)]
-            at = np.uintp(first[k] + kind * table.entries - table.entries_a_step * offset)
-            value, slope = float(values[at]), float(slopes[at])
-            wider = values[at + to_next] - value
-            by_place = slope + share[k] * (slopes[at + to_next] - slope)
-            curve[0, s, k] = value + share[k] * wider + rest_px[k] * by_place
-            curve[1, s, k] = by_place
-            curve[2, s, k] = wider / table.node_spacing
+        position = min(position if position > 0.0 else 0.0, last_node)
+        nearest = np.rint(min(from_end if from_end > 0.0 else 0.0, last))
+        node[k] = min(np.floor(position), last_node - 1.0)
+        step[k] = np.floor(nearest / a_step)
+        phase[k] = nearest - step[k] * a_step
+        share[k], rest_px[k] = position - node[k], (from_end - nearest) * spacing_px
+    for k in range(ALL_LANES):
+        one = np.uintp(lanes[k])
+        row = (shape[one] * table.nodes + int(node[k])) * table.entries_a_step + int(phase[k])
+        first[k] = row * table.alignments * steps + int(step[k]) + table.pad + half
+        stripe[k] = peak[one] + table.pad - half
+    to_next = np.uintp(table.entries_a_step * table.alignments * steps)
+    for k in range(ALL_LANES):
+        at, number = first[k], np.uintp(stripe[k])
+        for s in range(np.uintp(count)):
+            there, into = np.uintp(at + alignment_of[number + s] * steps), TWO * s * ALL_LANES + k
+            pair[into], pair[into + ALL_LANES] = pairs[there], pairs[there + to_next]
+            at -= 1
+    # Value and slope, by turns.
+    both = pair.view(np.float32)
+    for s in range(np.uintp(count)):
+        near, far, into = FOUR * s * ALL_LANES, (FOUR * s + TWO) * ALL_LANES, THREE * s * ALL_LANES
+        for k in range(ALL_LANES):
+            value, slope = float(both[near + TWO * k]), float(both[near + TWO * k + ONE])
+            wider = float(both[far + TWO * k]) - value
+            by_place = slope + share[k] * (float(both[far + TWO * k + ONE]) - slope)
+            curve[into + k] = value + share[k] * wider + rest_px[k] * by_place
+            curve[into + ALL_LANES + k] = by_place
+            curve[into + TWO * ALL_LANES + k] = wider / node_spacing
 
 
 @compiled
-def _weigh(lanes: np.ndarray, pixels: Pixels, curve: np.ndarray, sample: np.ndarray) -> None:
+def _weigh(read: float, gain: float, relative: float, curve: np.ndarray, sample: np.ndarray) -> None:
     """Weigh samples by the heights of the curves, whose amplitudes follow from the samples by the two normal equations."""
     sums = np.zeros((5, LANES))
-    for s in range(curve.shape[1]):
-        for k in range(LANES):
-            height, weight, value = sample[0, s, k], sample[1, s, k], curve[0, s, k]
+    count = np.uintp(len(sample) // (2 * LANES))
+    for s in range(count):
+        of, at = TWO * s * ALL_LANES, THREE * s * ALL_LANES
+        for k in range(ALL_LANES):
+            height, weight, value = sample[of + k], sample[of + ALL_LANES + k], curve[at + k]
+            lit = weight * value
             sums[0, k] += weight
             sums[1, k] += weight * height
-            sums[2, k] += weight * value
-            sums[3, k] += weight * value * value
-            sums[4, k] += weight * value * height
-    for k in range(LANES):
-        s_1, s_mm = sums[0, k] + 1.0 / pixels.read, sums[3, k] + LEAST
+            sums[2, k] += lit
+            sums[3, k] += lit * value
+            sums[4, k] += lit * height
+    for k in range(ALL_LANES):
+        s_1, s_mm = sums[0, k] + 1.0 / read, sums[3, k] + LEAST
         determinant = max(s_mm * s_1 - sums[2, k] * sums[2, k], SINGULAR * s_mm * s_1)
         sums[0, k] = (s_1 * sums[4, k] - sums[2, k] * sums[1, k]) / determinant
-    for s in range(curve.shape[1]):
-        for k in range(LANES):
-            light = max(sums[0, k] * curve[0, s, k], 0.0)
-            variance = pixels.read + light * (pixels.gain + light * pixels.relative * pixels.relative)
-            sample[1, s, k] = 1.0 / variance if sample[1, s, k] > 0.0 else 0.0
-    weights = pixels.weight
-    for k in range(LANES):
-        for s in range(curve.shape[1]):
-            weights[lanes[k], s] = sample[1, s, k]
+    square = relative * relative
+    for s in range(count):
+        of, at = (TWO * s + ONE) * ALL_LANES, THREE * s * ALL_LANES
+        for k in range(ALL_LANES):
+            light = max(sums[0, k] * curve[at + k], 0.0)
+            variance = read + light * (gain + light * square)
+            sample[of + k] = (1.0 if sample[of + k] > 0.0 else 0.0) / variance
 
 
 @compiled
@@ -242,19 +286,25 @@ def _linearise(
     sample: np.ndarray,
     curve: np.ndarray,
     limit_px: float,
-    found: np.ndarray,
-) -> None:
+) -> np.ndarray:
     """Solve for amplitude and background, remove from both derivatives what these could do instead, and step.
 
-    Write the steps of place and width, the sd of place and of width, amplitude, background, information on the width, chi-square
-    and degrees of freedom.
+    Return the steps of place and width, the sd of place and of width, amplitude, background, information on the width, chi-square
+    and degrees of freedom [9, lanes].
     """
-    sums = np.zeros((13, LANES))
+    sums, gradient, known, found = (
+        np.zeros((13, LANES)),
+        np.zeros((3, LANES)),
+        np.empty((2, LANES)),
+        np.empty((9, LANES)),
+    )
     black_weight, known_width, known_sd = 1.0 / pixels.read, pixels.log_width, pixels.width_sd
-    for s in range(curve.shape[1]):
-        for k in range(LANES):
-            height, weight = sample[0, s, k], sample[1, s, k]
-            value, by_place, by_width = curve[0, s, k], curve[1, s, k], curve[2, s, k]
+    count = np.uintp(len(sample) // (2 * LANES))
+    for s in range(count):
+        of, at = TWO * s * ALL_LANES, THREE * s * ALL_LANES
+        for k in range(ALL_LANES):
+            height, weight = sample[of + k], sample[of + ALL_LANES + k]
+            value, by_place, by_width = curve[at + k], curve[at + ALL_LANES + k], curve[at + TWO * ALL_LANES + k]
             lit, place, width = weight * value, weight * by_place, weight * by_width
             sums[0, k] += weight
             sums[1, k] += weight * height
@@ -269,40 +319,40 @@ def _linearise(
             sums[10, k] += width * value
             sums[11, k] += width * by_width
             sums[12, k] += 1.0 if weight > 0.0 else 0.0
-    for k in range(LANES):
+    for k in range(ALL_LANES):
         s_1, s_mm = sums[0, k] + black_weight, sums[3, k] + LEAST
         sums[0, k], sums[3, k] = s_1, s_mm
         determinant = max(s_mm * s_1 - sums[2, k] * sums[2, k], SINGULAR * s_mm * s_1)
-        found[0, k] = determinant
-        found[4, k] = (s_1 * sums[4, k] - sums[2, k] * sums[1, k]) / determinant
-        found[5, k] = (s_mm * sums[1, k] - sums[2, k] * sums[4, k]) / determinant
-    gradient = np.zeros((3, LANES))
-    for s in range(curve.shape[1]):
-        for k in range(LANES):
-            residual = sample[0, s, k] - found[4, k] * curve[0, s, k] - found[5, k]
-            weighted = sample[1, s, k] * residual
-            gradient[0, k] += weighted * curve[1, s, k]
-            gradient[1, k] += weighted * curve[2, s, k]
+        amplitude = (s_1 * sums[4, k] - sums[2, k] * sums[1, k]) / determinant
+        background = (s_mm * sums[1, k] - sums[2, k] * sums[4, k]) / determinant
+        found[0, k], found[4, k], found[5, k] = determinant, amplitude, background
+    for s in range(count):
+        of, at = TWO * s * ALL_LANES, THREE * s * ALL_LANES
+        for k in range(ALL_LANES):
+            residual = sample[of + k] - found[4, k] * curve[at + k] - found[5, k]
+            weighted = sample[of + ALL_LANES + k] * residual
+            gradient[0, k] += weighted * curve[at + ALL_LANES + k]
+            gradient[1, k] += weighted * curve[at + TWO * ALL_LANES + k]
             gradient[2, k] += weighted * residual
-    for k in range(LANES):
+    for k in range(ALL_LANES):
+        known[0, k], known[1, k] = known_width[lanes[k]] - log_width[lanes[k]], known_sd[lanes[k]]
+    for k in range(ALL_LANES):
         s_1, s_m, s_mm, determinant = sums[0, k], sums[2, k], sums[3, k], found[0, k]
-        p_1, p_m, w_1, w_m = sums[5, k], sums[6, k], sums[9, k], sums[10, k]
-        amplitude, background = found[4, k], found[5, k]
+        p_1, p_m, w_1, w_m, amplitude = sums[5, k], sums[6, k], sums[9, k], sums[10, k], found[4, k]
         square = amplitude * amplitude
         taken = (s_1 * p_m * p_m - 2.0 * s_m * p_m * p_1 + s_mm * p_1 * p_1) / determinant
         mixed = (s_1 * p_m * w_m - s_m * (p_m * w_1 + p_1 * w_m) + s_mm * p_1 * w_1) / determinant
         width_taken = (s_1 * w_m * w_m - 2.0 * s_m * w_m * w_1 + s_mm * w_1 * w_1) / determinant
         information, mixed = square * (sums[7, k] - taken), square * (sums[8, k] - mixed)
-        own = max(square * (sums[11, k] - width_taken), 0.0)
-        precision = 1.0 / (known_sd[lanes[k]] * known_sd[lanes[k]])
+        own, precision = max(square * (sums[11, k] - width_taken), 0.0), 1.0 / (known[1, k] * known[1, k])
         both = own + precision
         # What is left for the place when the width may move with it.
         left = max(information - mixed * mixed / both, LEAST)
-        pull = amplitude * gradient[1, k] + precision * (known_width[lanes[k]] - log_width[lanes[k]])
+        pull = amplitude * gradient[1, k] + precision * known[0, k]
         # Where the curve is flat the step stays within the distance to the next sample.
         step = (amplitude * gradient[0, k] - mixed / both * pull) / (left + 1.0 / (limit_px * limit_px))
-        found[0, k], found[1, k] = step, (pull - mixed * step) / both
-        found[2, k], found[3, k] = 1.0 / np.sqrt(left), 1.0 / np.sqrt(both)
-        found[6, k] = max(own - mixed * mixed / max(information, LEAST), 0.0)
-        found[7, k] = gradient[2, k] + black_weight * background * background
+        found[0, k], found[1, k], found[2, k] = step, (pull - mixed * step) / both, 1.0 / np.sqrt(left)
+        found[3, k], found[6, k] = 1.0 / np.sqrt(both), max(own - mixed * mixed / max(information, LEAST), 0.0)
+        found[7, k] = gradient[2, k] + black_weight * found[5, k] * found[5, k]
         found[8, k] = max(sums[12, k] - 2.0 - own / both, 1.0)
+    return found
