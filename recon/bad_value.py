@@ -1,5 +1,7 @@
 """What is wrong with a value that was written by a person, in a person's words: those of the checks name types of Python."""
 
+import json
+
 from pydantic import ValidationError
 from pydantic_core import ErrorDetails
 
@@ -42,7 +44,12 @@ def reason_of(fault: ErrorDetails) -> str:
     reason = WORDS[kind].format(**context) if kind in WORDS else fault["msg"]
     found = fault["input"]
     told = kind in ("missing", "extra_forbidden", "json_invalid") or (kind == "value_error" and str(found) in reason)
-    return f"{reason}, found {found!r}" if isinstance(found, str | int | float | None) and not told else reason
+    return f"{reason}, found {_written(found)}" if isinstance(found, str | int | float | None) and not told else reason
+
+
+def _written(found: object) -> str:
+    """Return a value as it stands in the file, JSON or TOML, and text in the quotes of all messages."""
+    return json.dumps(found) if found is None or isinstance(found, bool) else repr(found)
 
 
 def first_fault(error: ValidationError, *, whole: str) -> str:

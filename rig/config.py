@@ -315,6 +315,11 @@ class RigConfig(Part):
         last_px = swept.last_column_px if axis == "x" else swept.last_row_px
         if last_px > self.device_px(axis) - 1:
             raise ValueError(f"last_{noun}_px is {last_px:g}, the display's last {noun} is {self.device_px(axis) - 1}")
+        if stripe.width_px >= self.device_px(axis):
+            raise ValueError(
+                f"the stripe is width_px {stripe.width_px:g} wide, the display has {self.device_px(axis)} {noun}s; a stripe that "
+                "fills the display tells no place, make it a few pixels wide"
+            )
         # A step of 0.1 does not add up exactly; a thousandth of a step keeps the last place.
         count = math.floor(min((last_px - first_px) / stripe.step_px + 1e-3, MOST_PLACES)) + 1
         if not 3 <= count <= MOST_PLACES:

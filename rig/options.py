@@ -50,7 +50,7 @@ OrderOption = Annotated[
     typer.Option("--order", help="one_fill: the tank is filled once. paper: filled, drained and filled again."),
 ]
 SizeOption = Annotated[
-    int | None, typer.Option("--size", metavar="COLUMNS", min=1, help="Columns of the simulated photo.")
+    int | None, typer.Option("--size", metavar="COLUMNS", min=16, help="Columns of the simulated photo.")
 ]
 DisplayOption = Annotated[
     int | None, typer.Option("--display-columns", metavar="COLUMNS", min=1, help="Columns of the simulated display.")

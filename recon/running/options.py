@@ -14,7 +14,7 @@ MethodOption = Annotated[
     Method, typer.Option(help="paper: as published; full: maximum likelihood, with uncertainties.")
 ]
 SmallestAngle = Annotated[
-    float, typer.Option(min=0.0, help="Method paper: smallest angle between the two light paths, degrees.")
+    float, typer.Option(min=0.0, max=90.0, help="Method paper: smallest angle between the two light paths, degrees.")
 ]
 LargestGapShare = Annotated[
     float,

@@ -25,6 +25,7 @@ OPTIONS: list[tuple[tuple[str, ...], str]] = [
     (("run", "SESSION", "--threads", "-1"), "Invalid value for '--threads': must be 0 or more, found '-1'."),
     (("run", "SESSION", "--threads", "some"), "Invalid value for '--threads': must be a whole number, found 'some'."),
     (("run", "SESSION", "--threads", "1.5"), "Invalid value for '--threads': must be a whole number, found '1.5'."),
+    (("run", "SESSION", "--smallest-angle-deg", "500"), "'--smallest-angle-deg': must be 90 or less, found '500'."),
     (("run", "SESSION", "--gap-sigma", "nan"), "Invalid value for '--gap-sigma': must be 0 or more, found 'nan'."),
     (("bench", "--photos", "x"), "Invalid value for '--photos': must be a whole number, found 'x'."),
     (("bench", "--photos", "1"), "Invalid value for '--photos': must be 32 or more, found '1'."),
@@ -70,6 +71,13 @@ def test_any_value_of_a_manifest_may_be_wrong(bad: object) -> None:
             refusals.append(str(error))
     assert [text for text in refusals if JARGON.search(text) or "\n" in text] == []
     assert len(refusals) > 80  # of 130 values; some may be any text, any number or absent
+
+
+@pytest.mark.parametrize(("bad", "written"), [(None, "null"), (True, "true"), (False, "false"), (-1.5, "-1.5")])
+def test_a_wrong_value_is_told_as_it_stands_in_the_file(bad: object, written: str) -> None:
+    text = json.dumps(spoilt(manifest(), ("length_unit",), lambda holder, key: holder.__setitem__(key, bad)))
+    with pytest.raises(SessionError, match=f"length_unit: must be .*, found {written}$"):
+        parse_manifest(text, source="manifest.json")
 
 
 def test_a_value_that_is_missing_or_misspelt_is_named(tmp_path: Path, refusal: Callable[..., str]) -> None:

@@ -94,6 +94,8 @@ WRONG = [
     (("capture", "--session", "s", "--sim", "--config", "rig.toml"), "leave out one of them"),
     (("capture", "--session", "s", "--sim", "--scene", "nowhere"), "no scene 'nowhere': choose one of bottle"),
     (("capture", "--session", "s", "--sim", "--step-px", "500"), "a sweep needs at least 3"),
+    (("plan", "--sim", "--width-px", "5000"), "the stripe is width_px 5000 wide, the display has 256 columns"),
+    (("plan", "--sim", "--width-px", "256"), "a stripe that fills the display tells no place"),
     (("capture", "--session", "s", "--sim", "--step-px", "0.00001"), "a sweep may have 300000 at most"),
     (("capture", "--session", "s", "--sim", "--step-px", "1e-308"), "takes more than 300000 places"),
     (
@@ -230,7 +232,8 @@ def test_each_command_explains_itself(rig: Run, command: str) -> None:
     [
         (("plan", "--sim", "--profile", "round"), "'--profile': 'round' is not one of 'hard', 'raised_cosine'."),
         (("plan", "--sim", "--step-px", "x"), "'--step-px': must be a number, found 'x'."),
-        (("plan", "--sim", "--size", "0"), "'--size': must be 1 or more, found '0'."),
+        (("plan", "--sim", "--size", "0"), "'--size': must be 16 or more, found '0'."),
+        (("plan", "--sim", "--size", "3"), "'--size': must be 16 or more, found '3'."),
         (("stage", "move", "far", "--sim"), "'MM': must be a number, found 'far'."),
     ],
 )
