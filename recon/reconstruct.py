@@ -30,8 +30,6 @@ from recon.sweeps.set_places import (
 PARABOLA_SD_PX = 0.17
 # In which media a pixel that sees the display twice may be read by the path with less light; first: in none.
 CHOICES: tuple[tuple[str, ...], ...] = ((), ("air",), ("liquid",), ("air", "liquid"))
-
-
 CROSSING_VECTORS = ("pixels", "normal", "normal_sd_rad", "carried_mm2", "carried_rad2", "status")
 
 

@@ -31,8 +31,8 @@ from recon.sessions.manifest import (
     Part,
     Pose,
     Positive,
-    Vector,
 )
+from recon.sessions.pose import Vector
 
 CALIBRATION_NAME = "calibration.json"
 CALIBRATION_VERSION = 1

@@ -8,10 +8,9 @@ from recon.calibration.calibration_file import CalibratedCamera, Calibration
 from recon.calibration.evidence import SeenView
 from recon.calibration.lens import LENS_NAMES, camera_matrix, lens_numbers, view_rays
 from recon.report.charts import Scale
-from recon.report.numbers import number
+from recon.report.numbers import number, plus_minus
 from recon.report.panel import Panel, Section, Table
 from recon.report.photo_cells import WIDTH, add_arrows, add_square, cell_centres, empty_grid, squares
-from recon.report.response_section import plus_minus
 
 CHART_HEIGHT, LEFT, RIGHT, BOTTOM = 230, 48, 10, 40
 WORST = 5

@@ -1,23 +1,18 @@
 """The display's part of a calibration's page: where it stands, how straight it went, whether it slipped, its pitch and glass."""
 
 import numpy as np
-from jaxtyping import Float64
-from scipy.stats import chi2
 
 from recon.calibration.calibration_file import Calibration
-from recon.calibration.display_poses import AIR_PANELS, STRAIGHT_SIGMA, Straightness, panel_pose, straightness_between
+from recon.calibration.display_motion import panels_of, straightness_of
+from recon.calibration.display_poses import AIR_PANELS, STRAIGHT_SIGMA
 from recon.calibration.lens import lens_numbers, view_rays
-from recon.calibration.sight_line import PanelPose
-from recon.calibration.wet_pose import WET_PANELS, Slip, slip_between
-from recon.report.charts import Scale, line_path, round_up
-from recon.report.numbers import number
+from recon.calibration.wet_pose import WET_PANELS
+from recon.report.charts import Scale, line_path
+from recon.report.numbers import number, plus_minus
 from recon.report.panel import Panel, Section, Table
-from recon.report.response_section import plus_minus
+from recon.report.slip_panel import slip_panel
 
 WIDTH, MOST_HEIGHT, AXIS_HEIGHT = 760, 330, 46
-SLIP_SIZE, SLIP_EDGE, SLIP_TOP = 260, 42, 18
-CHANCE = 0.95
-NOT_WET = "The display was not photographed under liquid; its dry poses count for all four sets."
 
 
 def display_section(calibration: Calibration) -> Section:
@@ -32,37 +27,6 @@ def display_section(calibration: Calibration) -> Section:
             poses_panel(calibration),
             panel_panel(calibration),
         ),
-    )
-
-
-def panels_of(calibration: Calibration) -> dict[str, PanelPose]:
-    """Return the display's poses by set."""
-    return {name: panel_pose(pose) for name, pose in calibration.poses.items()}
-
-
-def covariance_of(calibration: Calibration, *names: str) -> Float64[np.ndarray, "numbers numbers"]:
-    """Return the joint covariance of the poses of these sets."""
-    order = list(calibration.poses)
-    chosen = np.concatenate([6 * order.index(name) + np.arange(6) for name in names])  # type: ignore[arg-type]  # set names
-    return calibration.pose_covariance()[np.ix_(chosen, chosen)]
-
-
-def straightness_of(calibration: Calibration) -> Straightness | None:
-    """Return how straight the stage carried the display; None where the file has no covariance."""
-    if not calibration.covariance:
-        return None
-    panels = panels_of(calibration)
-    first, second = (panels[name] for name in AIR_PANELS)
-    return straightness_between(first, second, covariance_of(calibration, *AIR_PANELS))
-
-
-def slips_of(calibration: Calibration) -> tuple[Slip, ...]:
-    """Return how the display moved between dry and wet at each position that was photographed wet."""
-    panels = panels_of(calibration)
-    return tuple(
-        slip_between(position, panels[dry], panels[wet], covariance_of(calibration, dry, wet))
-        for position, (dry, wet) in enumerate(zip(AIR_PANELS, WET_PANELS, strict=True))
-        if wet in panels and calibration.covariance
     )
 
 
@@ -150,63 +114,6 @@ def travel_panel(calibration: Calibration) -> Panel:
         "it does so every time.",
         missing="" if found else "The file has no covariance of the poses, so nothing tells a turn from noise.",
     )
-
-
-def slip_panel(calibration: Calibration) -> Panel:
-    """Return how the display moved between dry and wet, with its uncertainty."""
-    found = slips_of(calibration)
-    rows = []
-    for slip in found:
-        sd = np.sqrt(np.diag(slip.covariance))
-        rows.append(
-            (
-                f"Position {slip.position}",
-                f"{plus_minus(float(slip.moved[3]), float(sd[3]))} mm",
-                f"{plus_minus(float(slip.moved[4]), float(sd[4]))} mm",
-                f"{plus_minus(float(np.degrees(slip.moved[2])), float(np.degrees(sd[2])))}°",
-                f"{plus_minus(float(slip.moved[5]), float(sd[5]))} mm" if slip.determined[5] else "taken as small",
-                "yes" if slip.found() else "no",
-            )
-        )
-    headings = ("", "Right", "Down", "Turn in its plane", "Away from the camera", "Slipped?")
-    return Panel(
-        "slips",
-        "Whether it slipped between dry and wet",
-        "slips.html.j2",
-        {"charts": [slip_chart(slip) for slip in found], "table": Table(headings, tuple(rows), (1, 2, 3, 4))},
-        "Where the display stood under liquid, seen from where it stood dry (the cross), in its own plane. The truth lies in the "
-        "ellipse with a chance of 95 %.",
-        "The cross lies in the ellipse, or a few hundredths of a millimetre beside it.",
-        "A slip of tenths of a millimetre: uncorrected, it turns normals by degrees. Its measured pose is used; fasten the "
-        "display all the same.",
-        missing="" if found else NOT_WET,
-    )
-
-
-def slip_chart(slip: Slip) -> dict[str, object]:
-    """Return the drawing of one slip: right and down in mm, the same scale for both, with the 95 % ellipse."""
-    values, vectors = np.linalg.eigh(slip.covariance[3:5, 3:5])
-    reach = float(np.sqrt(chi2.ppf(CHANCE, 2)))
-    radii_mm = reach * np.sqrt(np.maximum(values, 0.0))
-    limit_mm = round_up(1.15 * float(np.abs(slip.moved[3:5]).max() + radii_mm.max()))
-    x = Scale(-limit_mm, limit_mm, SLIP_EDGE, SLIP_SIZE - SLIP_TOP)
-    y = Scale(-limit_mm, limit_mm, SLIP_TOP, SLIP_SIZE - SLIP_EDGE)
-    turn = np.linspace(0, 2 * np.pi, 49)
-    edge = (
-        slip.moved[3:5]
-        + np.outer(np.cos(turn), radii_mm[0] * vectors[:, 0])
-        + np.outer(np.sin(turn), radii_mm[1] * vectors[:, 1])
-    )
-    return {
-        "title": f"Position {slip.position}",
-        "size": (SLIP_SIZE, SLIP_EDGE, SLIP_TOP),
-        "ellipse": line_path(x, y, [(float(a), float(b)) for a, b in edge]) + "Z",
-        "dot": (x.place(float(slip.moved[3])), y.place(float(slip.moved[4]))),
-        "cross": (x.place(0.0), y.place(0.0)),
-        "found": slip.found(),
-        "x_ticks": [(x.place(value), f"{value:g}".replace("-", "−")) for value in (-limit_mm, 0.0, limit_mm)],
-        "y_ticks": [(y.place(value), f"{value:g}".replace("-", "−")) for value in (-limit_mm, 0.0, limit_mm)],
-    }
 
 
 def poses_panel(calibration: Calibration) -> Panel:

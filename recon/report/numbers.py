@@ -94,3 +94,17 @@ def memory(megabytes: Real) -> str:
     ('512 MB', '14.3 GB')
     """
     return f"{number(megabytes / 1000)} GB" if megabytes >= 1000 else f"{number(float(megabytes))} MB"
+
+
+def plus_minus(value: float, sd: float) -> str:
+    """Write a value to the second digit of its standard deviation.
+
+    Examples
+    --------
+    >>> plus_minus(2.19987, 0.00039), plus_minus(119.83, 1.2), plus_minus(240.0, 0.0)
+    ('2.19987 ± 0.00039', '119.8 ± 1.2', '240 ± 0')
+    """
+    if not (math.isfinite(sd) and sd > 0):
+        return f"{number(value)} ± {number(sd, 2)}"
+    decimals = max(0, 1 - math.floor(math.log10(sd)))
+    return f"{value:,.{decimals}f} ± {sd:.{decimals}f}".replace("-", "−")

@@ -1,6 +1,5 @@
 """The panels of a display's response: levels, latency, flicker, drift and colour, each with its chart and its numbers."""
 
-import math
 from collections.abc import Sequence
 
 import numpy as np
@@ -8,7 +7,7 @@ import numpy as np
 from recon.calibration.latency import new_share
 from recon.calibration.response_record import ResponseRecord
 from recon.report.charts import Scale, line_path
-from recon.report.numbers import number
+from recon.report.numbers import number, plus_minus
 from recon.report.panel import Panel, Section, Table
 from recon.sessions.photos import PLANE_OF_PRIMARY
 
@@ -54,20 +53,6 @@ def chart(
         "x_title": x_title,
         "table": table,
     }
-
-
-def plus_minus(value: float, sd: float) -> str:
-    """Write a value to the second digit of its standard deviation.
-
-    Examples
-    --------
-    >>> plus_minus(2.19987, 0.00039), plus_minus(119.83, 1.2), plus_minus(240.0, 0.0)
-    ('2.19987 ± 0.00039', '119.8 ± 1.2', '240 ± 0')
-    """
-    if not (math.isfinite(sd) and sd > 0):
-        return f"{number(value)} ± {number(sd, 2)}"
-    decimals = max(0, 1 - math.floor(math.log10(sd)))
-    return f"{value:,.{decimals}f} ± {sd:.{decimals}f}".replace("-", "−")
 
 
 def levels_panel(response: ResponseRecord) -> Panel:

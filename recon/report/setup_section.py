@@ -4,10 +4,10 @@ import numpy as np
 from jaxtyping import Float64
 
 from recon.calibration.calibration_file import Calibration
+from recon.calibration.display_motion import slips_of
 from recon.maps import Maps
 from recon.metrics import Metrics
 from recon.report.board_panel import board_panel
-from recon.report.calibration_display import slips_of
 from recon.report.calibration_page import CALIBRATION_PAGE_NAME, holds_until
 from recon.report.charts import Scale, line_path
 from recon.report.display_frame import frame_from_world, screen_corners, transform_points

@@ -26,7 +26,8 @@ import cv2
 import numpy as np
 from jaxtyping import Bool
 
-from recon.scene.scene_shift import PartShift, Photo, PhotoNoise, part_shift
+from recon.scene.photo_noise import Photo, PhotoNoise
+from recon.scene.scene_shift import PartShift, part_shift
 
 Part = Literal["marks", "display", "object"]
 Cause = Literal["camera", "object", "display", "liquid", "light", "camera or display", "camera or object"]

@@ -11,8 +11,9 @@ import cv2
 import numpy as np
 
 from recon.errors import SessionError
+from recon.scene.photo_noise import Photo, PhotoNoise
 from recon.scene.scene_change import Finding, Mask, Part, SceneLimits, SceneParts, findings, part_masks, scene_change
-from recon.scene.scene_shift import PartShift, Photo, PhotoNoise, noise_of_pair
+from recon.scene.scene_shift import PartShift, noise_of_pair
 from recon.sessions.journal import JOURNAL_NAME, read_journal
 from recon.sessions.photos import Counts, read_grey, saturation_count
 from recon.sessions.session import Session

@@ -4,7 +4,8 @@ import numpy as np
 import pytest
 
 from recon.patterns.reference_frame import reference_levels
-from recon.scene.scene_shift import PhotoNoise, noise_of_pair, part_shift
+from recon.scene.photo_noise import PhotoNoise
+from recon.scene.scene_shift import noise_of_pair, part_shift
 
 SIDE = 160
 SD = 2.0

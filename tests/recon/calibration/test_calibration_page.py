@@ -7,11 +7,12 @@ import numpy as np
 import pytest
 from test_calibration_file import calibration, fields
 
+from recon.calibration.display_motion import slips_of, straightness_of
 from recon.calibration.errors import CalibrationError
 from recon.report.calibration_camera import direction_sd_px
-from recon.report.calibration_display import slip_chart, slips_of, straightness_of
 from recon.report.calibration_page import calibration_verdict, holds_until, write_calibration_page
 from recon.report.photo_cells import cell_centres
+from recon.report.slip_panel import slip_chart
 
 SD_RAD, SD_MM = 1e-4, 0.01
 SMALL = np.diag(([SD_RAD] * 3 + [SD_MM] * 3) * 3) ** 2
