@@ -25,6 +25,16 @@ OPTIONS = (
     "--enable-logging=stderr",
     "--virtual-time-budget=15000",
 )
+# Words in drawings that are smaller than 8 px on the screen, each drawing by the id of its panel.
+SMALL_WORDS = """
+  const found = {};
+  for (const text of document.querySelectorAll('svg text')) {
+    const scale = text.getScreenCTM();
+    const size_px = scale ? parseFloat(getComputedStyle(text).fontSize) * scale.a : 0;
+    if (size_px > 0 && size_px < 8) found[text.closest('[id]').id] = size_px;
+  }
+  answer(found);
+"""
 NO_WEBGL = ("--disable-3d-apis",)
 SOFTWARE_WEBGL = ("--use-gl=angle", "--use-angle=swiftshader")
 

@@ -4,7 +4,7 @@ import re
 from pathlib import Path
 
 import pytest
-from browser import ask, visit
+from browser import SMALL_WORDS, ask, visit
 from report_example import example_manifest, example_maps, example_mesh, example_metrics
 
 from recon.report import write_report
@@ -120,6 +120,10 @@ def test_does_not_scroll_sideways_on_a_narrow_screen(page: Path, tmp_path: Path)
     found = ask(page, tmp_path, measure, "--window-size=500,900")
     assert isinstance(found, list)
     assert found[0] <= found[1]
+
+
+def test_words_in_drawings_can_be_read_on_a_narrow_screen(page: Path, tmp_path: Path) -> None:
+    assert ask(page, tmp_path, SMALL_WORDS, "--window-size=500,900") == {}
 
 
 def test_words_stand_out_from_their_ground_in_both_themes(page: Path, tmp_path: Path) -> None:

@@ -4,7 +4,7 @@ import doctest
 from pathlib import Path, PurePosixPath
 
 import pytest
-from browser import visit
+from browser import SMALL_WORDS, ask, visit
 from report_example import example_maps, example_metrics
 from test_report import HOSTILE, Page
 
@@ -68,6 +68,11 @@ def test_an_empty_batch_still_makes_a_page(tmp_path: Path) -> None:
 
 def test_loads_without_a_word_in_the_console(rows: tuple[GroupRow, ...], tmp_path: Path) -> None:
     assert visit(write_group_report(tmp_path / "batch.html", rows), tmp_path).console == ()
+
+
+def test_numbers_below_strips_can_be_read_on_a_narrow_screen(rows: tuple[GroupRow, ...], tmp_path: Path) -> None:
+    page = write_group_report(tmp_path / "batch.html", rows)
+    assert ask(page, tmp_path, SMALL_WORDS, "--window-size=500,900") == {}
 
 
 def test_names_the_file_when_it_cannot_be_written(tmp_path: Path) -> None:
