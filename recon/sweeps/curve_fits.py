@@ -25,6 +25,8 @@ FEW_PIXELS = 20_000
 NOISE_PIXELS = 100_000
 # The variance of a sample that the fit bends itself to cannot be read from its residual.
 LARGEST_LEVERAGE = 0.8
+# The median width of so many pixels is that of all.
+MEDIAN_PIXELS = 1 << 20
 BLUR_PIXELS = 2000
 BLUR_SPACING = 0.35
 OCCAM_SHARE = 0.03
@@ -150,7 +152,9 @@ def _boxes(
     # A gradient has both of its parts or neither.
     unknown = np.isnan(widths[:, 0])
     if unknown.any():
-        widths[unknown] = 0.5 if unknown.all() else np.nanmedian(widths, axis=0)
+        few = np.flatnonzero(~unknown)
+        few = few[:: max(len(few) // MEDIAN_PIXELS, 1)]
+        widths[unknown] = np.median(widths[few], axis=0) if len(few) else 0.5
     return widths
 
 

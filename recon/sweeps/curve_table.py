@@ -76,8 +76,10 @@ class CurveTable:
     ) -> None:
         """Compute the curves of these shapes whose widths are next to these, to either side; of some ``rows`` or of all."""
         rows = np.arange(len(shape)) if rows is None else rows
-        wanted = np.zeros_like(self.filled)
-        if mark_missing(rows, shape, log_width, float(self.log_width[0]), NODE_SPACING, self.filled, wanted):
+        thinnest = float(self.log_width[0])
+        if misses_any(rows, shape, log_width, thinnest, NODE_SPACING, self.filled):
+            wanted = np.zeros_like(self.filled)
+            mark_wanted(rows, shape, log_width, thinnest, NODE_SPACING, wanted)
             self.fill(wanted)
 
     def fill(self, wanted: Bool[np.ndarray, "shapes nodes"]) -> None:
@@ -130,26 +132,31 @@ class CurveTable:
 
 
 @compiled
-def mark_missing(
-    rows: np.ndarray,
-    shape: np.ndarray,
-    log_width: np.ndarray,
-    thinnest: float,
-    spacing: float,
-    filled: np.ndarray,
-    wanted: np.ndarray,
+def misses_any(
+    rows: np.ndarray, shape: np.ndarray, log_width: np.ndarray, thinnest: float, spacing: float, filled: np.ndarray
 ) -> bool:
-    """Mark the curves [shapes, nodes] beside the widths of some rows that are not filled in; return whether there are any."""
-    last = filled.shape[1] - 2
-    some = False
-    for row in rows:
+    """Return whether some curve [shapes, nodes] beside the widths of some rows is not filled in."""
+    last = float(filled.shape[1] - 2)
+    missing = False
+    for number in range(np.uintp(len(rows))):
+        row = np.uintp(rows[number])
         below = (log_width[row] - thinnest) / spacing
         # What is no number has a place in the table, too.
+        one, node = np.uintp(shape[row]), np.uintp(min(below if below > 0.0 else 0.0, last))
+        missing |= not (filled[one, node] & filled[one, node + np.uintp(1)])
+    return missing
+
+
+@compiled
+def mark_wanted(
+    rows: np.ndarray, shape: np.ndarray, log_width: np.ndarray, thinnest: float, spacing: float, wanted: np.ndarray
+) -> None:
+    """Mark the curves [shapes, nodes] beside the widths of some rows."""
+    last = wanted.shape[1] - 2
+    for row in rows:
+        below = (log_width[row] - thinnest) / spacing
         node = min(int(below), last) if below > 0.0 else 0
-        for one in (node, node + 1):
-            if not filled[shape[row], one]:
-                wanted[shape[row], one] = some = True
-    return some
+        wanted[shape[row], node] = wanted[shape[row], node + 1] = True
 
 
 @lru_cache(maxsize=4)

@@ -5,6 +5,7 @@ from dataclasses import dataclass
 import numpy as np
 from jaxtyping import Float32, Float64, Int
 
+from recon.compiled import compiled
 from recon.sweeps.curve_fits import CurveFits
 from recon.sweeps.stripe_fit import StripeFit
 
@@ -32,13 +33,28 @@ class FittedPixels:
         self.misfit[rows] = fit.chi_square / fit.freedom
         self.freedom[rows], self.light[rows] = fit.freedom, fit.amplitude
         self.width_px[rows] = np.exp(fit.log_width)
-        pixels = self.fits.pixels[rows][good]
-        self.place_px.ravel()[pixels], self.sd_px.ravel()[pixels] = fit.place_px[good], fit.sd_px[good]
+        write_good(self.fits.pixels[rows], good, fit.place_px, fit.sd_px, self.place_px.ravel(), self.sd_px.ravel())
 
     def usual_misfit(self) -> float:
         """Return the median misfit; NaN where nothing was fitted."""
         few = self.misfit[:: max(len(self.misfit) // MISFIT_PIXELS, 1)]
         return float(np.median(few)) if len(few) else float("nan")
+
+
+@compiled
+def write_good(
+    pixels: np.ndarray,
+    good: np.ndarray,
+    place_px: np.ndarray,
+    sd_px: np.ndarray,
+    place_map: np.ndarray,
+    sd_map: np.ndarray,
+) -> None:
+    """Write places and sds of the good ones of some pixels into the maps."""
+    for number in range(np.uintp(len(pixels))):
+        if good[number]:
+            pixel = np.uintp(pixels[number])
+            place_map[pixel], sd_map[pixel] = place_px[number], sd_px[number]
 
 
 @dataclass(frozen=True, slots=True, eq=False)

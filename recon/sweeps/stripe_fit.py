@@ -74,13 +74,13 @@ def fit_stripe(
     result = np.empty((len(StripeFit.__slots__), len(pixels)))
     for low in range(0, len(pixels), PIXELS_A_BLOCK):
         rows = slice(low, low + PIXELS_A_BLOCK)
-        result[:, rows] = _fit_block(curves.samples(pixels[rows]), prior.some(rows), table=curves.table, noise=noise).T
+        result[:, rows] = _fit_block(curves.samples(pixels[rows]), prior.some(rows), table=curves.table, noise=noise)
     return StripeFit(*result)
 
 
 def _fit_block(
     samples: CurveSamples, prior: WidthPrior, *, table: CurveTable, noise: NoiseModel
-) -> Float64[np.ndarray, "pixels 8"]:
+) -> Float64[np.ndarray, "8 pixels"]:
     """Scan, walk, and where the curve is angular take the likelihood's own mean and spread."""
     known = (prior.shape, prior.log_width, prior.sd)
     weight, place_px = weights_of(samples.height, samples, noise), np.empty(len(samples.peak))
@@ -90,7 +90,7 @@ def _fit_block(
     pixels = Pixels(samples.height, weight, samples.peak, *known, noise.read_variance, noise.gain, noise.relative)
     flat = prior.log_width < angular_log_width(table)
     angular = np.flatnonzero(flat)
-    fit = np.empty((len(flat), len(StripeFit.__slots__)))
+    fit = np.empty((len(StripeFit.__slots__), len(flat)))
     _walk(fit, np.flatnonzero(~flat), place_px, pixels, table=table, weigh=True)
     if len(angular):
         table.fill_about(prior.shape, prior.log_width, angular)
@@ -99,13 +99,13 @@ def _fit_block(
         # On a flat top the walk has nothing to go by: it begins where the finer grid is best.
         place_px[angular] = spread[2]
         _walk(fit, angular, place_px, pixels, table=table, weigh=False)
-        fit[angular, :2] = _settled(fit[angular, :2], spread, spacing_px=spacing_px)
-    fit[:, 0] += samples.peak_px
+        fit[:2, angular] = _settled(fit[:2, angular], spread, spacing_px=spacing_px)
+    fit[0] += samples.peak_px
     return fit
 
 
 def _walk(
-    fit: Float64[np.ndarray, "pixels 8"],
+    fit: Float64[np.ndarray, "8 pixels"],
     moving: Int64[np.ndarray, " moving"],
     start_px: Float64[np.ndarray, " pixels"],
     pixels: Pixels,
@@ -113,7 +113,7 @@ def _walk(
     table: CurveTable,
     weigh: bool,
 ) -> None:
-    """Let some of the pixels walk from their start until they have settled, and write their rows of ``fit``."""
+    """Let some of the pixels walk from their start until they have settled, and write their columns of ``fit``."""
     moving, place_px, log_width = moving.copy(), start_px.copy(), pixels.log_width.copy()
     objective = np.full(len(start_px), np.inf)
     for step in range(GAUSS_NEWTON_STEPS):
@@ -143,16 +143,16 @@ def _spread(
 
 
 def _settled(
-    walked: Float64[np.ndarray, "pixels 2"], spread: Float64[np.ndarray, "3 pixels"], *, spacing_px: float
-) -> Float64[np.ndarray, "pixels 2"]:
+    walked: Float64[np.ndarray, "2 pixels"], spread: Float64[np.ndarray, "3 pixels"], *, spacing_px: float
+) -> Float64[np.ndarray, "2 pixels"]:
     """Return place and sd of angular curves from those of the walk and those of the likelihood over a grid."""
-    place_px, sd_px = walked.T
+    place_px, sd_px = walked
     mean_px, spread_px, _ = spread
     larger_px = np.maximum(sd_px, spread_px)
     # The grid is too coarse for the sharpest likelihoods, and the curvature right where it is that sharp.
     curved = larger_px < spacing_px
     least_px = np.maximum(spread_px, spacing_px / np.sqrt(12))
-    return np.stack([np.where(curved, place_px, mean_px), np.where(curved, larger_px, least_px)], axis=1)
+    return np.stack([np.where(curved, place_px, mean_px), np.where(curved, larger_px, least_px)])
 
 
 def weights_of(height: np.ndarray, samples: CurveSamples, noise: NoiseModel) -> np.ndarray:

@@ -113,7 +113,7 @@ def step_pixels(
     With ``weigh`` their samples are weighed anew before.
 
     ``place_px`` (from the peak's on), ``log_width`` and ``objective`` [pixels] float64 are where each pixel is and the least
-    chi-square so far, with the prior's part; ``fit`` [pixels, 8] float64 the state there: place and its sd in device pixels,
+    chi-square so far, with the prior's part; ``fit`` [8, pixels] float64 the state there: place and its sd in device pixels,
     amplitude, background, logarithm of the width, information on it, chi-square and degrees of freedom.
     """
     count, number = pixels.height.shape[1], len(moving)
@@ -137,19 +137,19 @@ def step_pixels(
             reached = found[7, k] + off * off
             if reached > objective[one]:
                 # A step that made things worse is tried again at a third of its length.
-                place_px[one] = fit[one, 0] + (place - fit[one, 0]) / 3.0
-                log_width[one] = min(max(fit[one, 4] + (width - fit[one, 4]) / 3.0, lowest), highest)
+                place_px[one] = fit[0, one] + (place - fit[0, one]) / 3.0
+                log_width[one] = min(max(fit[4, one] + (width - fit[4, one]) / 3.0, lowest), highest)
                 moving[left] = one
                 left += 1
                 continue
             objective[one] = reached
-            fit[one, 0], fit[one, 4] = place, width
-            fit[one, 1], fit[one, 2], fit[one, 3] = found[2, k], found[4, k], found[5, k]
-            fit[one, 5], fit[one, 6], fit[one, 7] = found[6, k], found[7, k], found[8, k]
+            fit[0, one], fit[4, one] = place, width
+            fit[1, one], fit[2, one], fit[3, one] = found[2, k], found[4, k], found[5, k]
+            fit[5, one], fit[6, one], fit[7, one] = found[6, k], found[7, k], found[8, k]
             place += min(max(found[0, k], -limit_px), limit_px)
             width = min(max(width + min(max(found[1, k], -LARGEST_STEP), LARGEST_STEP), lowest), highest)
             if abs(found[0, k]) <= SETTLED_SD * found[2, k] and abs(found[1, k]) <= SETTLED_WIDTH_SD * found[3, k]:
-                fit[one, 0], fit[one, 4] = place, width
+                fit[0, one], fit[4, one] = place, width
             else:
                 place_px[one], log_width[one] = place, width
                 moving[left] = one

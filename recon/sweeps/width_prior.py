@@ -11,6 +11,7 @@ import cv2
 import numpy as np
 from jaxtyping import Float32, Float64, Int
 
+from recon.compiled import compiled
 from recon.sweeps.curve_table import shape_of
 from recon.sweeps.stripe_fit import StripeFit, WidthPrior
 
@@ -34,8 +35,17 @@ class Footprints:
 
     def predicted(self) -> Float64[np.ndarray, " pixels"]:
         """Return the logarithm of the total standard deviation."""
-        by_col, by_row = self.box_px.T.astype(np.float64)
-        return 0.5 * np.log((by_col**2 + by_row**2) / 12 + self.blur_px**2)
+        variance = np.empty(len(self.box_px))
+        write_variances(self.box_px, self.blur_px**2, variance)
+        return 0.5 * np.log(variance)
+
+
+@compiled
+def write_variances(box_px: np.ndarray, blur_variance: float, variance: np.ndarray) -> None:
+    """Write the variances of two boxes each [pixels, 2] and a blur together."""
+    for pixel in range(np.uintp(len(variance))):
+        by_col, by_row = np.float64(box_px[pixel, 0]), np.float64(box_px[pixel, 1])
+        variance[pixel] = (by_col * by_col + by_row * by_row) / 12 + blur_variance
 
 
 def known_prior(footprints: Footprints, *, sd: float) -> WidthPrior:
@@ -58,10 +68,38 @@ class NeighbourWidths:
 
     def prior(self, footprints: Footprints, pixels: Int[np.ndarray, " pixels"]) -> WidthPrior:
         """Return the prior of the listed pixels, whose footprints these are."""
+        log_width, sd = footprints.predicted(), np.empty(len(pixels))
         # The window about a pixel holds the same pixels of the lattice as that about the nearest one of these.
-        row, col = ((one + self.spacing // 2) // self.spacing for one in np.divmod(pixels, self.columns))
-        log_width = footprints.predicted() + self.wider[row, col]
-        return WidthPrior(shape_of(footprints.box_px, np.exp(log_width)), log_width, self.sd[row, col])
+        nearest = (np.arange(self.columns) + self.spacing // 2) // self.spacing
+        write_neighbours(pixels, nearest, self.spacing, self.wider, self.sd, log_width, sd)
+        return WidthPrior(shape_of(footprints.box_px, np.exp(log_width)), log_width, sd)
+
+
+@compiled
+def write_neighbours(
+    pixels: np.ndarray,
+    nearest: np.ndarray,
+    spacing: int,
+    wider: np.ndarray,
+    known_sd: np.ndarray,
+    log_width: np.ndarray,
+    sd: np.ndarray,
+) -> None:
+    """Add to each listed pixel's width how much wider those of its neighbourhood are, and write its sd.
+
+    ``nearest`` [columns] are the columns of the lattice nearest to those of the photo.
+    """
+    columns = len(nearest)
+    start, row = 0, 0
+    for number in range(np.uintp(len(pixels))):
+        pixel = pixels[number]
+        # Pixels come in order: their row is seldom another than that of the one before.
+        if pixel < start or pixel >= start + columns:
+            start = pixel // columns * columns
+            row = (pixel // columns + spacing // 2) // spacing
+        col = nearest[np.uintp(pixel - start)]
+        log_width[number] += wider[row, col]
+        sd[number] = known_sd[row, col]
 
 
 def neighbour_widths(
