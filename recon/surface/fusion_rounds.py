@@ -2,6 +2,7 @@
 
 from collections.abc import Callable
 from dataclasses import dataclass
+from functools import partial
 
 import cv2
 import numpy as np
@@ -9,6 +10,7 @@ from jaxtyping import Float64
 from scipy.ndimage import distance_transform_edt
 from scipy.sparse import csr_array
 
+from recon.bands import side_by_side
 from recon.memory import give_back_free_memory
 from recon.surface.error_draws import NoiseAt, NoiseDraw, independent_noise
 from recon.surface.lateral_places import frame_along
@@ -85,12 +87,16 @@ def solve_in_rounds(
 ) -> Solved:
     """Weigh and solve the equations, a round at a time; ``maps`` are those of :func:`~recon.surface.fusion.fuse_on_rays`."""
     _, direction, distance_mm, distance_sd_mm, normal, normal_sd_rad = maps
-    beyond = pairs_beyond(graph)
-    rays = rays_of(*maps, graph.mask)
-    sheets = sheets_of(chords_of(rays, graph, beyond, rays.measured_mm, threads=threads), graph, rays)
-    distance = _first_guess(rays, graph, sheets)
+    beyond, rays = side_by_side(partial(pairs_beyond, graph), partial(rays_of, *maps, graph.mask), threads=threads)
+
+    def begin() -> tuple[Sheets, PerPixel]:
+        sheets = sheets_of(chords_of(rays, graph, beyond, rays.measured_mm, threads=threads), graph, rays)
+        return sheets, _first_guess(rays, graph, sheets)
+
+    (sheets, distance), pulls = side_by_side(
+        begin, partial(Pulls.of, graph, direction, normal, normal_sd_rad), threads=threads
+    )
     chords = chords_of(rays, graph, beyond, distance, threads=threads)
-    pulls = Pulls.of(graph, direction, normal, normal_sd_rad)
     pairs = _cut(_reweighted(contradiction(chords, graph, rays, distance)), sheets)
     positions = _position_weights(rays, distance)
     for number in range(rounds if graph.pixels else 0):
@@ -113,8 +119,11 @@ def solve_in_rounds(
         if number == 0:
             sheets = with_long_jumps(sheets, graph, rays, distance, threads=threads)
         chords = chords_of(rays, graph, beyond, distance, threads=threads)
-        pairs = _cut(_reweighted(chords.residual(graph, distance) / np.sqrt(chords.variance)), sheets)
-        positions = _position_weights(rays, distance)
+        pairs, positions = side_by_side(
+            partial(_pair_weights, chords, graph, distance, sheets),
+            partial(_position_weights, rays, distance),
+            threads=threads,
+        )
         give_back_free_memory()
     sight = rays.direction.sum(axis=0) if graph.pixels else np.array([0.0, 0.0, 1.0])
     return Solved(
@@ -181,6 +190,11 @@ def _solve(
     # Weights change by decades where a measurement is found to be wrong: a multigrid of the last round's would not see it.
     solve = solver(system.matrix, error_sd=error_sd, threads=threads)
     return guess + solve(right, np.zeros_like(guess))
+
+
+def _pair_weights(chords: Chords, graph: Neighbours, distance: PerPixel, sheets: Sheets) -> _Weights:
+    """Weigh the chords by their agreement with ``distance``."""
+    return _cut(_reweighted(chords.residual(graph, distance) / np.sqrt(chords.variance)), sheets)
 
 
 def _cut(pairs: _Weights, sheets: Sheets) -> _Weights:

@@ -1,11 +1,12 @@
 """The two light paths of every pixel as the measurements that fusion asks for, near a surface that is roughly known."""
 
 from dataclasses import dataclass, field
+from functools import partial
 
 import numpy as np
 from jaxtyping import Bool, Float32, Float64, Int
 
-from recon.bands import over_bands
+from recon.bands import over_bands, side_by_side
 from recon.compiled import compiled
 from recon.geometry.light_paths import LightPaths
 from recon.method import Limits
@@ -55,7 +56,13 @@ class PathMeasurement:
     ) -> "PathMeasurement":
         """Prepare to measure by the paths of all pixels that were crossed."""
         liquid, normal, pixels = crossing.liquid, crossing.normal, crossing.pixels
-        reading = PathCrossing.of(liquid, crossing.air, crossing.points, pixels=pixels, used=surface_pixel, shape=shape)
+        reading, normal_map = side_by_side(
+            partial(
+                PathCrossing.of, liquid, crossing.air, crossing.points, pixels=pixels, used=surface_pixel, shape=shape
+            ),
+            partial(_spread, normal, surface_pixel, pixels, shape),
+            threads=threads,
+        )
         return cls(
             crossing=reading,
             paths=PathNoise(liquid, crossing.air, normal, n_liquid, n_air),
@@ -63,7 +70,7 @@ class PathMeasurement:
             surface_pixel=surface_pixel,
             readable=surface_pixel & reading.readable(angle_sigma=Limits().angle_sigma),
             facing=np.maximum(-(liquid.direction * normal).sum(axis=1), LEAST_FACING),
-            normal_map=_spread(normal, surface_pixel, pixels, shape),
+            normal_map=normal_map,
             shape=shape,
             threads=threads,
         )
@@ -79,10 +86,17 @@ class PathMeasurement:
         the path's squared shift along the surface. That correction is no surer than itself.
         """
         along, liquid = distance_mm.ravel()[self.pixels], self.paths.liquid
-        told_mm, sd_mm = self.crossing.measured_near(along, levers_mm=self._levers(along), threads=self.threads)
-        bent = _bent(liquid, along, self.paths.normal, self._curvature(along), threads=self.threads)
-        below_mm = 0.5 * bent / self.facing
-        return self.on_grid(told_mm + below_mm, self.readable), self.on_grid(np.hypot(sd_mm, below_mm), self.readable)
+        levers, curvature = side_by_side(
+            partial(self._levers, along), partial(self._curvature, along), threads=self.threads
+        )
+        told_mm, sd_mm = self.crossing.measured_near(along, levers_mm=levers, threads=self.threads)
+        below_mm = 0.5 * _bent(liquid, along, self.paths.normal, curvature, threads=self.threads) / self.facing
+        distance, distance_sd = side_by_side(
+            lambda: self.on_grid(told_mm + below_mm, self.readable),
+            lambda: self.on_grid(np.hypot(sd_mm, below_mm), self.readable),
+            threads=self.threads,
+        )
+        return distance, distance_sd
 
     def noise_at(self, distance_mm: ScalarMap, used: Mask) -> NoiseDraw:
         """Return what draws the errors of distances and normals of the ``used`` pixels, on a surface at ``distance_mm``.
@@ -130,7 +144,11 @@ def _spread(
     values: np.ndarray, where: Bool[np.ndarray, " pixels"], pixels: Int[np.ndarray, " pixels"], shape: tuple[int, int]
 ) -> Float64[np.ndarray, "..."]:
     grid = np.full((shape[0] * shape[1], *values.shape[1:]), np.nan)
-    grid[pixels[where]] = values[where]
+    # Most are asked for whole.
+    if where.all():
+        grid[pixels] = values
+    else:
+        grid[pixels[where]] = values[where]
     return grid.reshape(*shape, *values.shape[1:])
 
 

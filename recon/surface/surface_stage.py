@@ -6,6 +6,7 @@ from functools import partial
 
 import numpy as np
 
+from recon.bands import side_by_side
 from recon.geometry.sight import sight_rays
 from recon.maps import Maps, Support
 from recon.memory import give_back_free_memory
@@ -166,14 +167,20 @@ def _fused(crossing: Crossing, shape: tuple[int, int], *, n_liquid: float, n_air
     along_sd = np.sqrt(np.einsum("pi,pij,pj->p", liquid.direction, points.covariance, liquid.direction))
     paths = PathMeasurement.of(crossing, everywhere, shape=shape, n_liquid=n_liquid, n_air=n_air, threads=threads)
     on_grid = paths.on_grid
-    direction = on_grid(liquid.direction, everywhere)
-    normal_sd_rad = on_grid(crossing.normal_sd_rad, everywhere)
+    direction, normal_sd_rad, *measured = side_by_side(
+        partial(on_grid, liquid.direction, everywhere),
+        partial(on_grid, crossing.normal_sd_rad, everywhere),
+        partial(on_grid, liquid.near_mm, everywhere),
+        partial(on_grid, points.distance_liquid_mm, has_point),
+        partial(on_grid, along_sd, has_point),
+        threads=threads,
+    )
     normal = paths.normal_map
     fused = fuse_on_rays(
-        on_grid(liquid.near_mm, everywhere),
+        measured.pop(0),
         direction,
-        on_grid(points.distance_liquid_mm, has_point),
-        on_grid(along_sd, has_point),
+        measured.pop(0),
+        measured.pop(0),
         normal,
         normal_sd_rad,
         np.isfinite(normal).all(axis=2),
