@@ -23,6 +23,9 @@ REJECTED_WINDOWS = 1e-5
 INDEPENDENT_SHARE = 0.5
 # As many places as leave two more than a quadratic polynomial has terms.
 FEWEST_PLACES = 8
+# Windows about a pixel that tell together whether they hold; a straight crease leaves the vote where it is. By itself a window
+# is left only for residuals that hardly any noise leaves.
+VOTE_WINDOW_PX, FAR_MORE = 9, 1.5
 LARGEST_SQUARE = float(chi2.isf(REJECTED_SHARE, 1))
 # A window three pixels wide bends through a crease without a residual, but not without turning three of nine normals.
 CREASE_SHARE = 1 / 3 - 1e-6
@@ -160,6 +163,20 @@ def beyond_noise(fit: WindowFit, mask: Mask) -> ScalarMap:
     largest = _largest_share(int(fit.count.max(initial=0)))[fit.count.astype(np.int64)]
     with np.errstate(invalid="ignore", divide="ignore"):
         return np.where(fit.count >= FEWEST_PLACES, fit.misfit / (largest * expected), np.nan)
+
+
+def within_noise(beyond: ScalarMap) -> Mask:
+    """Tell which windows hold: most of those about them leave no more than noise explains, and they themselves not far more.
+
+    By its own residuals alone a window would be left for a smaller one where that happens to err most: what it leaves is what
+    the smaller one errs by. ``beyond`` is that of :func:`beyond_noise`.
+    """
+    size = (VOTE_WINDOW_PX, VOTE_WINDOW_PX)
+    more, told = (
+        cv2.boxFilter(each.astype(np.float64), cv2.CV_64F, size, normalize=False, borderType=cv2.BORDER_CONSTANT)
+        for each in (beyond > 1, np.isfinite(beyond))
+    )
+    return np.asarray((2 * more <= told) & (beyond <= FAR_MORE))
 
 
 @cache

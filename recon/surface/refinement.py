@@ -14,7 +14,7 @@ import numpy as np
 from jaxtyping import Float64, UInt8
 
 from recon.surface.fusion import FusedSurface
-from recon.surface.height_patch import Patch, Sight, against_own_normals, beyond_noise, patch_of
+from recon.surface.height_patch import Patch, Sight, against_own_normals, beyond_noise, patch_of, within_noise
 from recon.surface.lateral_places import LateralPlaces, along_surface, frame_along, lateral_places
 from recon.surface.noise_reference import NoiseReference, depth_of
 from recon.surface.ray_chords import Mask, ScalarMap, VectorMap
@@ -147,7 +147,7 @@ def _refine_tile(
     fits = fit_windows(p, q, height, errors, weight, place.lines, half_widths=HALF_WIDTHS_PX, readings=3)
     for (smaller, half_width), fit in zip(pairwise((0, *HALF_WIDTHS_PX)), fits, strict=True):
         beyond = beyond_noise(fit, fit_here)
-        held &= beyond <= 1
+        held &= within_noise(beyond)
         trust = np.minimum(trust, np.nan_to_num(np.maximum(beyond, 1.0) ** -2.0))
         patch, before = patch_of(fit, place, fit_here, before, trust, noise, half_width=half_width, smaller=smaller)
         held &= ~against_own_normals(patch.normal, tilted, normal_sd_rad[wide] * fused.normal_scale)
