@@ -4,11 +4,42 @@ from dataclasses import dataclass
 
 import numpy as np
 from jaxtyping import Float64, Int64
+from scipy.stats import chi2
 
-# The length of a Gaussian error in two directions alike, with the summed variance sd², exceeds r with the probability
-# exp(−r²/sd²) (Rayleigh). A point errs along the surface, a normal in two tilts.
-TWO_DIMENSIONS_95 = float(np.sqrt(-np.log(0.05)))
+# A normal errs in two tilts, about alike.
+TILTS = 2.0
+OUTSIDE = 0.05
 DECILES = 10
+
+PerPoint = Float64[np.ndarray, " points"]
+
+
+def directions_alike(sd: PerPoint, across_sd: PerPoint) -> PerPoint:
+    """Return in how many directions points err: (tr C)² / tr C² for the covariance C, k for k directions alike.
+
+    ``sd`` is the root of its trace, ``across_sd`` that of its part across the surface; the two directions along it count as alike.
+
+    Examples
+    --------
+    >>> directions_alike(np.array([1.0, 3**0.5, 1.0]), np.array([0.0, 1.0, 1.0])).round(6).tolist()
+    [2.0, 3.0, 1.0]
+    """
+    across = np.minimum((across_sd / sd) ** 2, 1.0)
+    return np.asarray(1 / (across**2 + (1 - across) ** 2 / 2))
+
+
+def interval_95(directions: PerPoint) -> PerPoint:
+    """Return the length within which 95 % of Gaussian errors are, over the root of their summed variances.
+
+    That of so many directions alike, which has the same mean square and the same scatter of squares as the sum at hand
+    (Satterthwaite 1946): at most 0.2 % of the errors more or fewer are within it. In two directions, √(−ln 0.05) = 1.73.
+
+    Examples
+    --------
+    >>> interval_95(np.array([1.0, 2.0, 3.0])).round(2).tolist()
+    [1.96, 1.73, 1.61]
+    """
+    return np.asarray(np.sqrt(chi2.isf(OUTSIDE, directions) / directions))
 
 
 @dataclass(frozen=True, slots=True)
@@ -40,11 +71,9 @@ class Coverage:
 
 
 def coverage_of(
-    error: Float64[np.ndarray, " points"],
-    sd: Float64[np.ndarray, " points"],
-    round_number: Int64[np.ndarray, " points"],
+    error: PerPoint, sd: PerPoint, round_number: Int64[np.ndarray, " points"], *, directions: PerPoint | None = None
 ) -> Coverage:
-    """Return the coverage of the lengths of two-dimensional errors.
+    """Return the coverage of the lengths of errors.
 
     Parameters
     ----------
@@ -52,6 +81,8 @@ def coverage_of(
         Lengths of errors, and the roots of their summed variances.
     round_number
         Which independent draw of the noise each error is from, from 0.
+    directions
+        In how many directions they err (:func:`directions_alike`); two where it is not told, as of normals.
 
     Examples
     --------
@@ -59,7 +90,7 @@ def coverage_of(
     >>> [coverage_of(np.full(20, size), np.ones(20), one_round).whole.value for size in (1.7, 1.8)]
     [1.0, 0.0]
     """
-    within = error <= TWO_DIMENSIONS_95 * sd
+    within = error <= interval_95(np.full(len(sd), TILTS) if directions is None else directions) * sd
     order = np.argsort(sd, kind="stable")
     tenths = (_share(within[part], round_number[part]) for part in np.array_split(order, DECILES))
     return Coverage(_share(within, round_number), tuple(tenths))

@@ -6,7 +6,7 @@ from dataclasses import dataclass, field
 import numpy as np
 from jaxtyping import Bool
 
-from recon.evaluation.coverage import Coverage, coverage_of
+from recon.evaluation.coverage import Coverage, coverage_of, directions_alike
 from recon.evaluation.spread import angle_between_rad
 from recon.maps import Maps
 from recon.method import Limits, Method
@@ -43,18 +43,20 @@ class _Stated:
 
     point: np.ndarray
     point_sd: np.ndarray
+    point_directions: np.ndarray
     normal: np.ndarray
     normal_sd: np.ndarray
 
     @classmethod
     def of(cls, maps: Maps, session: TrueSession) -> "_Stated | None":
-        if maps.normal_sd_rad is None:
+        if maps.normal_sd_rad is None or maps.across_sd_mm is None:
             return None
         truth = session.truth
         own = maps.valid() & truth.judged & np.isfinite(maps.normal).all(axis=2)
         parts = (
             np.linalg.norm(maps.point_mm[own] - truth.point_mm[own], axis=1),
             maps.sd_mm[own],
+            directions_alike(maps.sd_mm[own].astype(np.float64), maps.across_sd_mm[own].astype(np.float64)),
             angle_between_rad(maps.normal[own], truth.normal[own]),
             maps.normal_sd_rad[own],
         )
@@ -82,15 +84,16 @@ class _Sums:
         if stated is not None:
             self.stated.append(stated)
 
-    def coverage(self, error: str, sd: str) -> Coverage | None:
+    def coverage(self, error: str, sd: str, directions: str | None = None) -> Coverage | None:
         """Return the coverage over all rounds together."""
         if not self.stated:
             return None
-        errors, sds = (
-            np.concatenate([getattr(one, name) for one in self.stated]).astype(np.float64) for name in (error, sd)
-        )
+
+        def told(name: str) -> np.ndarray:
+            return np.concatenate([getattr(one, name) for one in self.stated]).astype(np.float64)
+
         numbers = np.repeat(np.arange(len(self.stated)), [len(one.point) for one in self.stated])
-        return coverage_of(errors, sds, numbers)
+        return coverage_of(told(error), told(sd), numbers, directions=None if directions is None else told(directions))
 
     def errors(self) -> MethodErrors:
         if not self.pixels:
@@ -100,7 +103,7 @@ class _Sums:
             normal_rms_deg=float(np.degrees(np.sqrt(self.normal / self.pixels))),
             normal_mean_deg=float(np.degrees(self.normal_size / self.pixels)),
             kept=self.pixels / self.judged if self.judged else 0.0,
-            point_coverage=self.coverage("point", "point_sd"),
+            point_coverage=self.coverage("point", "point_sd", "point_directions"),
             normal_coverage=self.coverage("normal", "normal_sd"),
         )
 

@@ -10,7 +10,7 @@ from typer.testing import CliRunner
 
 from recon.cli import app
 from recon.errors import ReconError
-from recon.evaluation.coverage import Coverage, Share, coverage_of
+from recon.evaluation.coverage import Coverage, Share, coverage_of, directions_alike
 from recon.study.coverage_tables import outside_by_chance
 from recon.study.noise_rounds import noise_rounds
 from recon.study.noisy_sweeps import load_true_session, noisy_sweeps
@@ -63,6 +63,25 @@ def test_coverage_of_errors_as_large_as_stated_is_95_percent_in_every_tenth() ->
     # Stated half as large as they are, the intervals hold 1 − 0.05^(1/4) of them.
     half = coverage_of(error, sd / 2, number).whole.value
     assert half == pytest.approx(1 - 0.05**0.25, abs=4 * 0.5 / np.sqrt(len(sd)))
+
+
+@pytest.mark.parametrize("across", [0.0, 0.3, 1.0, 3.0, np.inf])
+def test_coverage_of_points_is_95_percent_whatever_their_errors_across_the_surface(across: float) -> None:
+    rng = np.random.default_rng(7)
+    sds = np.array([0.0, 0.0, 1.0] if across == np.inf else [1.0, 1.0, across])
+    error = np.linalg.norm(sds * rng.standard_normal((100_000, 3)), axis=1)
+    sd, across_sd = (np.full(len(error), each) for each in (np.linalg.norm(sds), sds[2]))
+    found = coverage_of(error, sd, np.arange(len(sd)) % 20, directions=directions_alike(sd, across_sd))
+    # Binomial 0.07 %, and 0.13 % by the match of moments.
+    assert found.whole.value == pytest.approx(0.95, abs=0.004)
+
+
+def test_the_interval_of_three_directions_alike_ends_where_tables_of_chi_squared_say() -> None:
+    # 7.815 for three degrees of freedom, at 95 %; 5.991 for two would be 8.987 here.
+    sd, number = np.full(10, np.sqrt(3.0)), np.zeros(10, np.int64)
+    for squared, within in ((7.80, 1.0), (7.83, 0.0)):
+        error = np.full(10, np.sqrt(squared))
+        assert coverage_of(error, sd, number, directions=np.full(10, 3.0)).whole.value == within
 
 
 def test_what_pixels_of_a_round_share_widens_the_sampling_of_a_coverage() -> None:
