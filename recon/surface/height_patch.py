@@ -70,13 +70,17 @@ class Sight:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Patch:
-    """A tile's points and normals in its own frame and unit, with their standard deviations."""
+    """A tile's points and normals in its own frame and unit, with their standard deviations.
+
+    ``left_squared`` is the part of the normals' variance that is bias.
+    """
 
     point: Float64[np.ndarray, "rows cols 3"]
     normal: Float64[np.ndarray, "rows cols 3"]
     sd: ScalarMap
     across_sd: ScalarMap
     normal_sd: ScalarMap
+    left_squared: ScalarMap
 
 
 def patch_of(
@@ -138,6 +142,7 @@ def patch_of(
         sd=np.sqrt(slide_variance + (lifted / facing) ** 2),
         across_sd=lifted,
         normal_sd=np.sqrt(noise_squared + bias_squared),
+        left_squared=bias_squared,
     )
     return patch, ClearSlopes(now, clear, bias_squared)
 

@@ -11,14 +11,14 @@ from dataclasses import dataclass
 from itertools import pairwise
 
 import numpy as np
-from jaxtyping import Float64, UInt8
+from jaxtyping import Float32, Float64, UInt8
 
 from recon.surface.fusion import FusedSurface
 from recon.surface.height_patch import Patch, Sight, against_own_normals, beyond_noise, patch_of, within_noise
 from recon.surface.lateral_places import LateralPlaces, along_surface, frame_along, lateral_places
-from recon.surface.noise_reference import NoiseReference, depth_of
+from recon.surface.noise_reference import NoiseReference, Shares, depth_class, depth_of, steadied
 from recon.surface.ray_chords import Mask, ScalarMap, VectorMap
-from recon.surface.tiles import Part, inside, tiles
+from recon.surface.tiles import TILE_PX, Part, inside, tiles
 from recon.surface.window_bias import own_slopes
 from recon.surface.window_quadratic import fit_windows
 
@@ -77,12 +77,34 @@ def refine_surface(
     del shift
     depth_px = depth_of(used)
 
-    def refine(tile: tuple[Part, Part]) -> None:
-        _refine_tile(result, fused, direction, normal, normal_sd_rad, lateral, used, depth_px, *tile)
+    left_rad2 = np.zeros(used.shape, np.float32)
 
+    def refine(tile: tuple[Part, Part]) -> Shares | None:
+        return _refine_tile(result, left_rad2, fused, direction, normal, normal_sd_rad, lateral, used, depth_px, *tile)
+
+    parts = list(tiles(used, border=WIDEST_HALF_WIDTH_PX))
     with ThreadPoolExecutor(threads) as pool:
-        list(pool.map(refine, tiles(used, border=WIDEST_HALF_WIDTH_PX)))
+        told = list(pool.map(refine, parts))
+    cores = {(core[0].start // TILE_PX, core[1].start // TILE_PX): core for core, _ in parts}
+    shares = {place: each for place, each in zip(cores, told, strict=True) if each is not None}
+    for place, larger in steadied(shares).items():
+        _scale_noise(result, left_rad2, depth_px, larger, cores[place])
     return result
+
+
+def _scale_noise(
+    result: RefinedSurface,
+    left_rad2: Float32[np.ndarray, "rows cols"],
+    depth_px: ScalarMap,
+    larger: Float64[np.ndarray, "windows depths"],
+    core: tuple[slice, slice],
+) -> None:
+    """Make the noise's part of windows' variances in a tile so much larger; ``left_rad2`` of their bias stays."""
+    half_width, sd = result.half_width_px[core], result.normal_sd_rad[core]
+    factor = larger[np.searchsorted(HALF_WIDTHS_PX, half_width), depth_class(depth_px[core])]
+    left = left_rad2[core].astype(np.float64)
+    scaled = np.sqrt(np.maximum(sd**2 - left, 0.0) * factor + left)
+    np.copyto(sd, scaled, where=half_width > 0)
 
 
 def _own_measurement(
@@ -109,6 +131,7 @@ def _own_measurement(
 
 def _refine_tile(
     result: RefinedSurface,
+    left_rad2: Float32[np.ndarray, "all_rows all_cols"],
     fused: FusedSurface,
     direction: VectorMap,
     normal: VectorMap,
@@ -118,15 +141,18 @@ def _refine_tile(
     depth_px: ScalarMap,
     core: tuple[slice, slice],
     wide: tuple[slice, slice],
-) -> None:
-    """Fit heights over the plane that suits a tile, and write what they say into the result's maps."""
+) -> Shares | None:
+    """Fit heights over the plane that suits a tile, and write what they say into the result's maps.
+
+    Returned is what the windows' draws told of their noise, if any were fitted.
+    """
     mean = normal[wide][used[wide]].mean(axis=0)
     mean /= max(float(np.linalg.norm(mean)), np.finfo(float).tiny)
     frame = frame_along(mean)
     cosine = np.nan_to_num(normal[wide]) @ mean
     fit_here = used[wide] & (cosine > STEEPEST_COSINE)
     if not fit_here[inside(core, wide)].any():
-        return
+        return None
     middle = fused.point_mm[wide][fit_here].mean(axis=0)
     unit_mm = 4 * _spacing_mm(fused.point_mm[wide], fit_here)
     local = np.where(fit_here[..., None], (fused.point_mm[wide] - middle) @ frame.T / unit_mm, 0.0)
@@ -151,11 +177,13 @@ def _refine_tile(
         trust = np.minimum(trust, np.nan_to_num(np.maximum(beyond, 1.0) ** -2.0))
         patch, before = patch_of(fit, place, fit_here, before, trust, noise, half_width=half_width, smaller=smaller)
         held &= ~against_own_normals(patch.normal, tilted, normal_sd_rad[wide] * fused.normal_scale)
-        _take_over(result, patch, held, core, wide, half_width, place)
+        _take_over(result, left_rad2, patch, held, core, wide, half_width, place)
+    return np.stack(noise.told)
 
 
 def _take_over(
     result: RefinedSurface,
+    left_rad2: Float32[np.ndarray, "all_rows all_cols"],
     patch: Patch,
     held: Mask,
     core: tuple[slice, slice],
@@ -179,6 +207,7 @@ def _take_over(
         (result.across_sd_mm, unit * patch.across_sd[inner], moved),
         (result.normal, patch.normal[inner] @ place.frame, turned),
         (result.normal_sd_rad, patch.normal_sd[inner], turned),
+        (left_rad2, patch.left_squared[inner], turned),
         (result.half_width_px, np.full(turned.shape, half_width, np.uint8), turned),
     ):
         target[core][better] = found[better]

@@ -10,8 +10,9 @@ from recon.evaluation.spread import angle_between_rad
 from recon.maps import Maps, Support
 from recon.method import Limits
 from recon.reconstruct import cross_paths, maps_of
+from recon.surface.height_patch import within_noise
 from recon.surface.lateral_places import along_surface
-from recon.surface.noise_reference import NoiseReference, depth_of
+from recon.surface.noise_reference import NoiseReference, depth_of, steadied
 from recon.surface.surface_stage import surface_of
 from recon.surface.window_bias import ClearSlopes, Slopes, bias_left, without_bias
 from recon.surface.window_means import replace_by_means, weighted_means
@@ -169,6 +170,31 @@ def test_what_is_left_of_the_bias_is_told_without_the_noise_in_it() -> None:
     sd = np.sqrt((4 * bias**2 * noise_sd**2 + 2.5 * noise_sd**4) / pixels)
     assert told[33, 33] == pytest.approx(bias**2, abs=3 * sd)
     assert 3 * sd < noise_sd**2
+
+
+def test_a_window_is_left_where_most_about_it_leave_more_than_noise_or_it_far_more_itself() -> None:
+    beyond = np.full((40, 40), 0.5)
+    beyond[:, 20:] = 3.0
+    # A straight crease stays where it is, up to the edge of the map.
+    assert np.array_equal(within_noise(beyond), beyond < 1)
+    beyond[:] = 0.5
+    beyond[10, 10], beyond[30, 30], beyond[20, 20] = 1.2, 2.0, np.nan
+    held = within_noise(beyond)
+    assert held[10, 10]
+    assert not held[30, 30]
+    assert not held[20, 20]
+    assert held.sum() == held.size - 2
+
+
+def test_shares_of_noise_are_those_of_the_tiles_about_each() -> None:
+    def told(count: float, total: float) -> np.ndarray:
+        return np.array([[[count], [total]]], dtype=float)
+
+    larger = steadied({(0, 0): told(100, 50), (1, 1): told(300, 90), (0, 3): told(10, 7), (5, 5): told(0, 0)})
+    # (50 + 90) / (100 + 300) = 0.35, in place of 0.5 and 0.3.
+    assert larger[0, 0][0, 0] == pytest.approx(0.7)
+    assert larger[1, 1][0, 0] == pytest.approx(0.35 / 0.3)
+    assert larger[0, 3][0, 0] == larger[5, 5][0, 0] == 1.0
 
 
 def everywhere(slope: float, *, size: int = 20) -> Slopes:
