@@ -17,7 +17,7 @@ PerPoint = Float64[np.ndarray, " points"]
 def directions_alike(sd: PerPoint, across_sd: PerPoint) -> PerPoint:
     """Return in how many directions points err: (tr C)² / tr C² for the covariance C, k for k directions alike.
 
-    ``sd`` is the root of its trace, ``across_sd`` that of its part across the surface; the two directions along it count as alike.
+    ``sd`` is the root of its trace, ``across_sd`` that of its part across the surface; directions along it count as alike.
 
     Examples
     --------
