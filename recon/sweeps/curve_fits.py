@@ -5,6 +5,7 @@ from dataclasses import dataclass
 import numpy as np
 from jaxtyping import Bool, Float32, Float64, Int, Int64
 
+from recon.compiled import compiled
 from recon.sessions.manifest import StripePattern
 from recon.sweeps.curve_centres import curve_centres
 from recon.sweeps.curve_lookup import looked_up
@@ -147,15 +148,24 @@ def _boxes(
     table = curves.table
     quantum_px = table.pattern.step_px if table.continuous else max(table.pattern.step_px, 1.0)
     gradient = coordinate_gradient(place_px, np.isfinite(place_px), quantum_px=quantum_px)
-    widths = gradient.reshape(-1, 2)[pixels]
-    np.abs(widths, out=widths)
-    # A gradient has both of its parts or neither.
-    unknown = np.isnan(widths[:, 0])
-    if unknown.any():
-        few = np.flatnonzero(~unknown)
+    widths, known = np.empty((len(pixels), 2), dtype=gradient.dtype), np.empty(len(pixels), dtype=bool)
+    write_widths(pixels, gradient.reshape(-1, 2), widths, known)
+    if not known.all():
+        few = np.flatnonzero(known)
         few = few[:: max(len(few) // MEDIAN_PIXELS, 1)]
-        widths[unknown] = np.median(widths[few], axis=0) if len(few) else 0.5
+        widths[~known] = np.median(widths[few], axis=0) if len(few) else 0.5
     return widths
+
+
+@compiled
+def write_widths(pixels: np.ndarray, gradient: np.ndarray, widths: np.ndarray, known: np.ndarray) -> None:
+    """Write the magnitudes of a gradient [all pixels, 2] at the listed pixels, and where there is one."""
+    for number in range(np.uintp(len(pixels))):
+        pixel = np.uintp(pixels[number])
+        by_col, by_row = gradient[pixel, 0], gradient[pixel, 1]
+        widths[number, 0], widths[number, 1] = abs(by_col), abs(by_row)
+        # A gradient has both of its parts or neither.
+        known[number] = not np.isnan(by_col)
 
 
 def _lattice(pixels: np.ndarray, grid: tuple[int, int]) -> tuple[Int64[np.ndarray, " some"], int]:

@@ -127,8 +127,18 @@ class CurveTable:
 
     def nearest_node(self, log_width: Float64[np.ndarray, " pixels"]) -> Int64[np.ndarray, " pixels"]:
         """Return the number of the width node nearest to each width."""
-        number = np.rint((log_width - self.log_width[0]) / NODE_SPACING)
-        return np.clip(number, 0, len(self.log_width) - 1).astype(np.int64)
+        number = np.empty(len(log_width), dtype=np.int64)
+        thinnest, last = float(self.log_width[0]), len(self.log_width) - 1
+        write_nearest(np.ascontiguousarray(log_width), thinnest, NODE_SPACING, last, number)
+        return number
+
+
+@compiled
+def write_nearest(log_width: np.ndarray, thinnest: float, spacing: float, last: int, number: np.ndarray) -> None:
+    """Write the numbers of the nodes nearest to some widths."""
+    for pixel in range(np.uintp(len(number))):
+        nearest = np.rint((log_width[pixel] - thinnest) / spacing)
+        number[pixel] = int(min(nearest if nearest > 0.0 else 0.0, float(last)))
 
 
 @compiled
