@@ -4,7 +4,7 @@ The equations need not be weighted by the true covariance of their noise for thi
 serves two pairs on its line, and the distance comes from the same correspondences as the normal.
 """
 
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from concurrent.futures import ThreadPoolExecutor
 
 import cv2
@@ -65,7 +65,8 @@ def drawn_errors(
     scales
         By how much the noise of distances, and of normals, is larger than was said.
     threads
-        With more than one, the solver is made ready while the first set is drawn, and a set is solved while the next is drawn.
+        With more than one, the solver is made ready while the first set is drawn, a set is solved while the next is drawn, and
+        a draw is made while the right side of the one before is written.
     """
     rng = np.random.default_rng(DRAW_SEED)
     places = np.flatnonzero(graph.mask)
@@ -75,6 +76,7 @@ def drawn_errors(
     errors = np.full((DRAWS, *graph.mask.shape), np.nan, np.float32)
     bend = chords.bend
     jobs = []
+    drawn = _drawn(noise, rng, threads=threads)
 
     def solve_set(first: int, right: Block) -> None:
         for number, found in enumerate(solve.result()(right).T):
@@ -87,7 +89,7 @@ def drawn_errors(
         for first in range(0, DRAWS, COLUMNS):
             right = np.empty((len(places), COLUMNS), np.float32)
             for column in range(COLUMNS):
-                distance_error, normal_error, slide = noise(rng)
+                distance_error, normal_error, slide = next(drawn)
                 for axis in (0, 1):
                     slides[axis, first + column].reshape(-1)[places] = slide @ across[axis].astype(np.float32)
                 _write_right_side(
@@ -105,6 +107,21 @@ def drawn_errors(
     for job in jobs:
         job.result()
     return errors, slides, turned_squared / DRAWS
+
+
+def _drawn(
+    noise: NoiseDraw, rng: np.random.Generator, *, threads: int
+) -> Iterator[tuple[SomePixels, SomeVectors, SomeVectors]]:
+    """Yield the draws one after the other; with several threads, the next is made while one is used."""
+    with ThreadPoolExecutor(1) as pool:
+        coming = pool.submit(noise, rng)
+        for number in range(1, DRAWS + 1):
+            drawn = coming.result()
+            if number < DRAWS and threads > 1:
+                coming = pool.submit(noise, rng)
+            yield drawn
+            if number < DRAWS and threads == 1:
+                coming = pool.submit(noise, rng)
 
 
 @compiled
