@@ -7,6 +7,8 @@ import numpy as np
 from jaxtyping import Bool, Float, Float64, Int8, Int64, Integer, UInt16
 from scipy.spatial import cKDTree
 
+from recon.compiled import compiled
+
 # Together about 2.5 MB as text: light enough to send, dense enough to look closed at the size of a page.
 POINTS_SHOWN = 100_000
 MESH_VERTICES_SHOWN = 40_000
@@ -66,9 +68,7 @@ def cluster_mesh(mesh: TriangleMesh, *, most: int) -> TriangleMesh:
     """
     if len(mesh.vertex_mm) <= most:
         return mesh
-    first, second, third = (mesh.vertex_mm[mesh.face[:, corner]] for corner in range(3))
-    area_mm2 = 0.5 * float(np.linalg.norm(np.cross(second - first, third - first), axis=1).sum())
-    cell_mm = np.sqrt(1.5 * area_mm2 / most)
+    cell_mm = np.sqrt(1.5 * _area(mesh.vertex_mm, mesh.face) / most)
     cell = np.floor((mesh.vertex_mm - mesh.vertex_mm.min(axis=0)) / cell_mm).astype(np.int64)
     size = cell.max(axis=0) + 1
     key = (cell[:, 0] * size[1] + cell[:, 1]) * size[2] + cell[:, 2]
@@ -81,6 +81,22 @@ def cluster_mesh(mesh: TriangleMesh, *, most: int) -> TriangleMesh:
     kept = (face[:, 0] != face[:, 1]) & (face[:, 1] != face[:, 2]) & (face[:, 2] != face[:, 0])
     length = np.linalg.norm(normal, axis=1, keepdims=True)
     return TriangleMesh(vertex_mm, face[kept].astype(np.int64), normal / np.where(length > 0, length, 1.0))
+
+
+@compiled
+def _area(vertex: np.ndarray, faces: np.ndarray) -> float:
+    """Return the area of all triangles; whole arrays of their corners would take more memory than the mesh."""
+    total = 0.0
+    for face in range(len(faces)):
+        one, two, three = faces[face]
+        squared = 0.0
+        for k in range(3):
+            a, b = (k + 1) % 3, (k + 2) % 3
+            across = (vertex[two, a] - vertex[one, a]) * (vertex[three, b] - vertex[one, b])
+            across -= (vertex[two, b] - vertex[one, b]) * (vertex[three, a] - vertex[one, a])
+            squared += across**2
+        total += 0.5 * np.sqrt(squared)
+    return total
 
 
 def sd_at(vertex_mm: Float64[np.ndarray, "vertices 3"], cloud: Cloud) -> Float[np.ndarray, " vertices"]:
