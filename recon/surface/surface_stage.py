@@ -176,6 +176,7 @@ def _fused(crossing: Crossing, shape: tuple[int, int], *, n_liquid: float, n_air
         threads=threads,
     )
     normal = paths.normal_map
+    # Handed over and not kept: fusion lets them go before it draws errors.
     fused = fuse_on_rays(
         measured.pop(0),
         direction,
