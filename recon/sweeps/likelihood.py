@@ -10,6 +10,7 @@ from scipy.special import chdtri
 from recon.compiled import compiled
 from recon.memory import give_back_free_memory
 from recon.sessions.manifest import StripePattern
+from recon.sweeps.centre_places import centre_shifts
 from recon.sweeps.curve_fits import CurveFits, good_fit, prepared_fits
 from recon.sweeps.curve_samples import SweepCurves
 from recon.sweeps.curve_table import curve_table
@@ -114,6 +115,11 @@ def places_by_likelihood(
     reach_map_px = np.full(black.shape, np.nan, dtype=np.float16)
     reach_map_px.ravel()[pixels] = reach_px
     place_px, sd_px = told_by_neighbours(place_px, sd_px, trusted=trusted, reach_px=reach_map_px)
+    del reach_map_px
+    if not continuous:
+        shift_px, by_others = centre_shifts(place_px, sd_px, trusted, pixels, light, pattern=pattern)
+        place_px -= shift_px
+        sd_px[by_others] = np.hypot(sd_px[by_others], shift_px[by_others])
     return LikelihoodPlaces(
         place_px=place_px,
         sd_px=sd_px,
