@@ -11,27 +11,24 @@ length is how far the place seems to be off, to first order. Of several edges ea
 within one device pixel holds no edge and says no more than before.
 """
 
-import cv2
 import numpy as np
 from jaxtyping import Bool, Float, Float32, Float64, Int
 
 from recon.compiled import compiled
 from recon.patterns.sweep_frames import device_brightness
 from recon.sessions.manifest import StripePattern
+from recon.sweeps.map_bends import map_bends
 
 # Quadratic surfaces through so many pixels each way tell how the map bends: the larger window where it holds, else the smaller.
 WINDOWS_PX = (9, 5)
-# A window holds where its places scatter no more than so many of their sds about its surface, and the light no more than so
-# much of itself. Compressed photos leave errors that no pixel's sd tells.
-LARGEST_ROUGHNESS = 2.0
-SUREST_PX = 0.01
-LARGEST_FLICKER = 0.1
 # From a pixel with such a window its shift is told to others so far away.
 SPREAD_PX = 6
 # A footprint is cut into so many lines, and no more than so many edges within it are looked at.
 LINES = 8
 MOST_EDGES = 48
 BAND_ROWS = 128
+# So many pixels at a time keep all lanes of a core busy.
+LANES = 32
 
 Grid = Float[np.ndarray, "rows cols"]
 SmallGrid = Float32[np.ndarray, "rows cols"]
@@ -66,19 +63,20 @@ def centre_shifts(
     for top in range(0, rows, BAND_ROWS):
         bottom = min(top + BAND_ROWS, rows)
         above, below = max(top - margin, 0), min(bottom + margin, rows)
-        part, inner = slice(above, below), slice(top - above, bottom - above)
         listed = slice(*np.searchsorted(pixels, np.array([above * cols, below * cols], dtype=pixels.dtype)))
         lit = np.zeros((below - above, cols), np.float32)
         lit.ravel()[pixels[listed] - above * cols] = light[listed]
-        there = trusted[part] & np.isfinite(place_px[part]) & (lit > 0)
-        if not there.any():
+        there = trusted[above:below] & np.isfinite(place_px[above:below]) & (lit > 0)
+        columns = np.flatnonzero(there.any(axis=0))
+        if not len(columns):
             continue
-        place, sd = np.where(there, place_px[part], 0.0), np.where(there, sd_px[part], 0.0)
-        terms, known = _surfaces(place.astype(np.float32), sd.astype(np.float32), lit, there)
-        found = np.zeros(there.shape, np.float32)
-        _write_shifts(place.astype(np.float64), terms, known, alike, found)
-        by_others[top:bottom] = _told_to_others(found, known, there)[inner]
-        shift[top:bottom] = found[inner]
+        part = slice(above, below), slice(columns[0], columns[-1] + 1)
+        lit, there = lit[:, part[1]], np.ascontiguousarray(there[:, part[1]])
+        place, sd = (np.where(there, one[part], 0).astype(np.float32) for one in (place_px, sd_px))
+        found, known = _shifts(place, sd, np.log(np.where(there, lit, np.float32(1))), there, alike)
+        inner, own = slice(top - above, bottom - above), (slice(top, bottom), part[1])
+        by_others[own] = _told_to_others(found, known, there)[inner]
+        shift[own] = found[inner]
     return shift, by_others
 
 
@@ -89,119 +87,101 @@ def _alike(pattern: StripePattern) -> Float64[np.ndarray, " apart"]:
     return np.correlate(np.pad(change, (0, MOST_EDGES)), change, "valid")[:MOST_EDGES].copy()
 
 
-def _surfaces(
-    value: SmallGrid, sd_px: SmallGrid, lit: SmallGrid, there: Mask
-) -> tuple[Float32[np.ndarray, "7 rows cols"], Mask]:
-    """Return slopes by column and row, bends by column, both and row, the light's fading each way, and where they are known."""
-    certainty = 1 / (sd_px**2 + np.float32(SUREST_PX**2))
-    fading = np.log(np.where(there, lit, np.float32(1)))
-    terms, known = np.zeros((7, *there.shape), np.float32), np.zeros(there.shape, dtype=bool)
+def _shifts(
+    place: SmallGrid, sd_px: SmallGrid, fading: SmallGrid, there: Mask, alike: Float64[np.ndarray, " apart"]
+) -> tuple[SmallGrid, Mask]:
+    """Return the shifts of the pixels whose surface is known, and which these are."""
+    shift, known = np.zeros(there.shape, np.float32), np.zeros(there.shape, dtype=bool)
     for window_px in WINDOWS_PX:
-        found, holds = _through_windows(value, certainty, fading, there, window_px)
-        np.copyto(terms, found, where=holds & ~known)
+        terms, holds = map_bends(place, sd_px, fading, there, window_px=window_px)
+        holds &= ~known
+        numbers = np.flatnonzero(holds)
+        _write_shifts(place.ravel(), terms.reshape(len(terms), -1), numbers, alike, shift.ravel())
         known |= holds
-    return terms, known
-
-
-def _through_windows(
-    value: SmallGrid, certainty: SmallGrid, fading: SmallGrid, there: Mask, window_px: int
-) -> tuple[Float32[np.ndarray, "7 rows cols"], Mask]:
-    """Return the terms of the surface through every window, and where that is whole and holds.
-
-    Over a window 1, x, y, x² − m, x y and y² − m, with m the mean of x², are at right angles to each other.
-    """
-    even = np.ones(window_px, np.float32)
-    along = np.arange(window_px, dtype=np.float32) - window_px // 2
-    mean_square = float((along**2).mean())
-    bent = (along**2 - mean_square).astype(np.float32)
-    pixels, squares, bends = window_px**2, window_px * float((along**2).sum()), window_px * float((bent**2).sum())
-
-    def sums(values: np.ndarray, by_col: np.ndarray, by_row: np.ndarray) -> np.ndarray:
-        return cv2.sepFilter2D(values, cv2.CV_32F, by_col, by_row, borderType=cv2.BORDER_CONSTANT)
-
-    def mean(values: np.ndarray) -> np.ndarray:
-        return cv2.blur(values, (window_px, window_px), borderType=cv2.BORDER_CONSTANT)
-
-    terms = np.empty((7, *there.shape), np.float32)
-    for number, (values, by_col, by_row, scale) in enumerate(
-        (
-            (value, along, even, 1 / squares),
-            (value, even, along, 1 / squares),
-            (value, bent, even, 2 / bends),
-            (value, along, along, pixels / squares**2),
-            (value, even, bent, 2 / bends),
-            (fading, along, even, 1 / squares),
-            (fading, even, along, 1 / squares),
-        )
-    ):
-        np.multiply(sums(values, by_col, by_row), np.float32(scale), out=terms[number])
-    whole = cv2.erode(there.astype(np.uint8), np.ones((window_px, window_px), np.uint8), borderValue=0).astype(bool)
-    own = mean(value) - np.float32(0.5 * mean_square) * (terms[2] + terms[4])
-    # What a place keeps of its own error beside the surface through its window.
-    kept = 1 - 1 / pixels - 2 * mean_square**2 / bends
-    rough = (value - own) ** 2 * certainty - np.float32(kept * LARGEST_ROUGHNESS**2)
-    flicker = (fading - mean(fading)) ** 2 - np.float32(LARGEST_FLICKER**2)
-    for one in (rough, flicker):
-        one[~whole] = 0.0
-        whole &= mean(one) <= 0
-    return terms, whole
+    return shift, known
 
 
 def _told_to_others(shift: SmallGrid, known: Mask, there: Mask) -> Mask:
     """Fill in the mean of the shifts beside pixels without one, from pixel to pixel; return which were filled in."""
     told = known.copy()
+    others = np.flatnonzero(there & ~told)
     for _ in range(SPREAD_PX):
-        near = cv2.dilate(told.astype(np.uint8), np.ones((3, 3), np.uint8), borderValue=0).astype(bool) & there & ~told
-        if not near.any():
+        means = np.full(len(others), np.nan, np.float32)
+        _write_means_beside(shift, told, others, means)
+        now = np.isfinite(means)
+        if not now.any():
             break
-        count, total = (
-            cv2.boxFilter(one, cv2.CV_32F, (3, 3), normalize=False, borderType=cv2.BORDER_CONSTANT)
-            for one in (told.astype(np.float32), shift)
-        )
-        shift[near] = total[near] / np.maximum(count[near], 1.0)
-        told |= near
+        shift.ravel()[others[now]], told.ravel()[others[now]] = means[now], True
+        others = others[~now]
     return told & ~known
 
 
 @compiled
+def _write_means_beside(shift: np.ndarray, told: np.ndarray, pixels: np.ndarray, means: np.ndarray) -> None:
+    """Write the mean shift of the neighbours of some pixels that were told theirs, where there are any."""
+    rows, cols = told.shape
+    for number in range(len(pixels)):
+        row, col = pixels[number] // cols, pixels[number] % cols
+        count, total = 0, np.float32(0)
+        for near_row in range(max(row - 1, 0), min(row + 2, rows)):
+            for near_col in range(max(col - 1, 0), min(col + 2, cols)):
+                if told[near_row, near_col]:
+                    count += 1
+                    total += shift[near_row, near_col]
+        if count:
+            means[number] = total / np.float32(count)
+
+
+@compiled
 def _write_shifts(
-    place: np.ndarray, terms: np.ndarray, known: np.ndarray, alike: np.ndarray, shift: np.ndarray
+    place: np.ndarray, terms: np.ndarray, pixels: np.ndarray, alike: np.ndarray, shift: np.ndarray
 ) -> None:
-    """Write the shifts of the pixels whose surface is known."""
-    rows, cols = known.shape
+    """Write the shifts of some pixels by the terms of the map about them."""
     most = len(alike)
-    length, moved = np.empty(most), np.empty(most)
-    for pixel in range(rows * cols):
-        row, col = pixel // cols, pixel % cols
-        if not known[row, col]:
-            continue
-        # The pixel is turned so that its place grows along x and y, x the steeper one.
-        by_col, by_row = terms[0, row, col], terms[1, row, col]
-        steep = 0 if abs(by_col) >= abs(by_row) else 1
-        steeper, other = abs(terms[steep, row, col]), abs(terms[1 - steep, row, col])
-        first = np.ceil(place[row, col] - 0.5 * (steeper + other) - 0.5)
-        edges = int(np.floor(place[row, col] + 0.5 * (steeper + other) - 0.5) - first) + 1
-        if edges < 1 or steeper == 0:
-            continue
-        edges = min(edges, most)
-        along, across = np.sign(terms[steep, row, col]), np.sign(terms[1 - steep, row, col])
-        bend, bend_across = terms[2 + 2 * steep, row, col], terms[4 - 2 * steep, row, col]
-        twist = along * across * terms[3, row, col]
-        fading, fading_across = along * terms[5 + steep, row, col], across * terms[6 - steep, row, col]
-        for edge in range(edges):
-            length[edge] = moved[edge] = 0.0
+    counts, offset = np.empty(LANES, np.int64), np.empty(LANES, np.float32)
+    steepness, other = np.empty(LANES, np.float32), np.empty(LANES, np.float32)
+    bend, bend_across, twist = np.empty(LANES, np.float32), np.empty(LANES, np.float32), np.empty(LANES, np.float32)
+    fading, fading_across = np.empty(LANES, np.float32), np.empty(LANES, np.float32)
+    cut, bent = np.empty(LANES, np.float32), np.empty(LANES, np.float32)
+    length, moved = np.empty((most, LANES), np.float32), np.empty((most, LANES), np.float32)
+    half = np.float32(0.5)
+    for low in range(0, len(pixels), LANES):
+        longest = 0
+        for lane in range(LANES):
+            pixel = pixels[min(low + lane, len(pixels) - 1)]
+            # The pixel is turned so that its place grows along x and y, x the steeper one.
+            steep = 0 if abs(terms[0, pixel]) >= abs(terms[1, pixel]) else 1
+            slope, slope_across = terms[steep, pixel], terms[1 - steep, pixel]
+            along, across = np.sign(slope), np.sign(slope_across)
+            reach = 0.5 * (np.float64(abs(slope)) + np.float64(abs(slope_across)))
+            first = np.ceil(place[pixel] - reach - 0.5)
+            edges = int(np.floor(place[pixel] + reach - 0.5) - first) + 1
+            counts[lane] = min(max(edges, 0), most) if slope != 0 else 0
+            longest = max(longest, counts[lane])
+            steepness[lane], other[lane] = 1 / abs(slope), abs(slope_across)
+            bend[lane], bend_across[lane] = terms[2 + 2 * steep, pixel], terms[4 - 2 * steep, pixel]
+            twist[lane] = along * across * terms[3, pixel]
+            fading[lane], fading_across[lane] = along * terms[5 + steep, pixel], across * terms[6 - steep, pixel]
+            offset[lane] = first + 0.5 - place[pixel]
+        for edge in range(longest):
+            cut[:], bent[:] = np.float32(0), np.float32(0)
             for line in range(LINES):
-                y = (line + 0.5) / LINES - 0.5
-                x = (first + edge + 0.5 - place[row, col] - other * y) / steeper
-                if abs(x) < 0.5:
-                    length[edge] += 1 / steeper
-                    moved[edge] += (0.5 * bend * x * x + twist * x * y + 0.5 * bend_across * y * y) / steeper
-                x = min(max(x, -0.5), 0.5)
-                moved[edge] -= 0.5 * fading * (x * x - 0.25) + fading_across * y * (x + 0.5)
-        total = weight = 0.0
-        for one in range(edges):
-            for two in range(edges):
-                total += alike[abs(one - two)] * length[one] * moved[two]
-                weight += alike[abs(one - two)] * length[one] * length[two]
-        if weight > 0:
-            shift[row, col] = total / weight
+                y, number = np.float32((line + 0.5) / LINES - 0.5), np.float32(edge)
+                for lane in range(LANES):
+                    x = (offset[lane] + number - other[lane] * y) * steepness[lane]
+                    crossed = steepness[lane] if abs(x) < half else np.float32(0)
+                    rise = half * (bend[lane] * x * x + bend_across[lane] * y * y) + twist[lane] * x * y
+                    cut[lane] += crossed
+                    x = half if x > half else x
+                    x = -half if x < -half else x
+                    faded = half * fading[lane] * (x * x - np.float32(0.25)) + fading_across[lane] * y * (x + half)
+                    bent[lane] += rise * crossed - faded
+            length[edge, :], moved[edge, :] = cut, bent
+        for lane in range(min(LANES, len(pixels) - low)):
+            total = weight = 0.0
+            for one in range(counts[lane]):
+                for two in range(counts[lane]):
+                    total += alike[abs(one - two)] * length[one, lane] * moved[two, lane]
+                    weight += alike[abs(one - two)] * length[one, lane] * length[two, lane]
+            if weight > 0:
+                shift[pixels[low + lane]] = total / weight
