@@ -157,9 +157,11 @@ def _mean_tilt_squared(
     slopes: Float[np.ndarray, "2 draws rows cols"], normal: Float64[np.ndarray, "2 rows cols"], length: ScalarMap
 ) -> ScalarMap:
     """Return the mean square of the angles by which changes of the slopes turn the normal; 0 without any."""
-    along = slopes[0] * normal[0].astype(slopes.dtype) + slopes[1] * normal[1].astype(slopes.dtype)
-    squares = np.einsum("adrc,adrc->rc", slopes, slopes) - np.einsum("drc,drc->rc", along, along)
-    return np.maximum(squares.astype(np.float64), 0.0) / (max(slopes.shape[1], 1) * length**2)
+    # Windows that tell hardly anything have slopes beyond all numbers; NaN says that they are no good.
+    with np.errstate(invalid="ignore", over="ignore"):
+        along = slopes[0] * normal[0].astype(slopes.dtype) + slopes[1] * normal[1].astype(slopes.dtype)
+        squares = np.einsum("adrc,adrc->rc", slopes, slopes) - np.einsum("drc,drc->rc", along, along)
+        return np.maximum(squares.astype(np.float64), 0.0) / (max(slopes.shape[1], 1) * length**2)
 
 
 def beyond_noise(fit: WindowFit, mask: Mask) -> ScalarMap:
