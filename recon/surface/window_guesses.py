@@ -34,12 +34,19 @@ def in_parts(pixels: Int64[np.ndarray, " all"]) -> list[Whole]:
 
 def guessed(maps: Maps, known: Mask, row: Whole, col: Whole, *, half_widths: tuple[int, ...]) -> tuple[Guess, Some]:
     """Return what the ``known`` pixels about each say of it, and whether that can be believed."""
+    return best_guess(*windows_about(maps, known, row, col, half_widths=half_widths))
+
+
+def windows_about(
+    maps: Maps, known: Mask, row: Whole, col: Whole, *, half_widths: tuple[int, ...]
+) -> tuple["Guesses", PerPixel]:
+    """Return what all windows of ``known`` pixels about each pixel say, and how far neighbours' points are apart there, in mm."""
     spacing_mm = _spacing(maps, known, row, col)
-    return best_guess(_guesses(maps, known, row, col, spacing_mm, half_widths), spacing_mm)
+    return _guesses(maps, known, row, col, spacing_mm, half_widths), spacing_mm
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class _Guesses:
+class Guesses:
     """What all windows say of some pixels, a row each; ``counted`` those sure enough to be heard."""
 
     every: tuple[Guess, ...]
@@ -68,7 +75,7 @@ class _Guesses:
 
 def _guesses(
     maps: Maps, known: Mask, row: Whole, col: Whole, spacing_mm: PerPixel, half_widths: tuple[int, ...]
-) -> _Guesses:
+) -> Guesses:
     """Ask all windows about each pixel."""
     every = tuple(
         guess_from(maps, known, row, col, row + (wide + 1) * down, col + (wide + 1) * along, half_width=wide)
@@ -79,10 +86,10 @@ def _guesses(
         (one.variance_mm2 < (LARGEST_SHARE * spacing_mm) ** 2) & (one.variance_rad2 < LARGEST_NORMAL_SD_RAD**2)
         for one in every
     ]
-    return _Guesses(every, np.stack(counted))
+    return Guesses(every, np.stack(counted))
 
 
-def best_guess(guesses: _Guesses, spacing_mm: PerPixel) -> tuple[Guess, Some]:
+def best_guess(guesses: Guesses, spacing_mm: PerPixel) -> tuple[Guess, Some]:
     """Return what to believe of each pixel, and whether it can be believed.
 
     It is what the surest window says, where all others agree. Where some do not and two surfaces meet in a crease, it

@@ -130,6 +130,26 @@ def test_a_point_at_the_rim_that_the_points_within_contradict_is_taken_out_and_n
     assert np.argwhere(found).tolist() == [[row, col]]
 
 
+@pytest.mark.parametrize(
+    ("off_mm", "pixels", "out"),
+    [(10.0, 1, True), (0.5, 1, False), (10.0, 3, False)],
+    ids=["far off", "within what the surface is known to", "a strip of another surface"],
+)
+def test_a_surface_too_unsure_to_cover_a_pixel_still_contradicts_a_lone_point_far_from_it(
+    off_mm: float, pixels: int, out: bool
+) -> None:
+    beyond = np.hypot(ROW - 20, COL - 20) > 15
+    maps = sphere(beyond)
+    # Less sure than neighbours are apart: nothing is covered by such points.
+    maps.sd_mm[~beyond] = 1.25 * SPACING_MM
+    strip = (slice(19, 19 + pixels), 6)
+    maps.sd_mm[strip] = SD_MM
+    maps.point_mm[(*strip, 2)] += off_mm
+    found = without_strays(maps).status != maps.status
+    assert found[strip].all() == out
+    assert found.sum() == (pixels if out else 0)
+
+
 def test_threads_change_nothing_of_what_is_taken_out_and_covered(monkeypatch: pytest.MonkeyPatch) -> None:
     # So few pixels a part that the threads share them.
     monkeypatch.setattr(window_guesses, "PIXELS_AT_ONCE", 4)
