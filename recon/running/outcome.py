@@ -39,6 +39,7 @@ from recon.status import PixelStatus
 from recon.surface.covering import COVERABLE
 from recon.surface.mesh import Mesh
 from recon.surface.own_paths import OwnPaths
+from recon.surface.second_places import SecondPlaces
 from recon.surface.surface_stage import surface_of
 from recon.surface.thin_stage import thin_object
 from recon.sweeps.correspondence import SweepResult
@@ -142,7 +143,7 @@ def _reconstruct(
         spots = look()
     if registration is not None:
         crossing = with_carried(crossing, registration, manifest)
-    own, apart, shared, ratio = None, None, None, None
+    own, second, apart, shared, ratio = None, None, None, None, None
     if spots is not None:
         status, crossing = without_spots(status, crossing, spots)
         shared = shared_gaps(crossing, shape=shape)
@@ -150,6 +151,7 @@ def _reconstruct(
         crossing = with_shared_gaps(crossing, shared, n_liquid=manifest.n_liquid(), n_air=manifest.n_air)
         apart = shared.area()
         own = OwnPaths.of(sweeps, manifest, np.flatnonzero(np.isin(status, COVERABLE)))
+        second = SecondPlaces.of(sweeps, manifest)
         # Those that miss by too much count as well: left out, a session that is wrong would look sound.
         crossed = np.isin(crossing.status, (PixelStatus.OK, PixelStatus.GAP_TOO_LARGE))
         ratio = gap_ratio(crossing.points.gap_mm[crossed], crossing.points.gap_sd_mm[crossed])
@@ -166,6 +168,7 @@ def _reconstruct(
         manifest,
         method=settings.method,
         own=own,
+        second=second,
         apart=apart,
         threads=threads,
     )

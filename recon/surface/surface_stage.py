@@ -23,6 +23,7 @@ from recon.surface.own_paths import OwnPaths
 from recon.surface.path_measurement import PathMeasurement
 from recon.surface.ray_chords import Mask
 from recon.surface.refinement import refine_surface
+from recon.surface.second_places import SecondPlaces
 from recon.surface.strays import without_strays
 
 # No window of pixels that fusion and refinement look at reaches farther.
@@ -49,13 +50,15 @@ def surface_of(
     *,
     method: Method,
     own: OwnPaths | None = None,
+    second: SecondPlaces | None = None,
     apart: Mask | None = None,
     threads: int = 1,
 ) -> Surface:
     """Make the mesh: normals integrated on the camera's rays (paper), or positions and normals together (full).
 
     With the ``own`` paths of pixels that were left out, the surface of method ``full`` covers those that it surrounds. Pixels
-    that are ``apart`` have a surface of their own, so that what is wrong with them does not reach the others.
+    with a ``second`` place are less sure, which counts last: it says nothing of the surface that they measured. Pixels that are
+    ``apart`` have a surface of their own, so that what is wrong with them does not reach the others.
     """
     if not maps.valid().any():
         return Surface(maps, lambda: None, ("No point was found, so there is no mesh.",))
@@ -63,6 +66,7 @@ def surface_of(
         media = {"n_liquid": manifest.n_liquid(), "n_air": manifest.n_air}
         surface = _fused_apart(maps, crossing, apart, **media, threads=threads)
         whole = surface if own is None else with_covered(without_strays(surface, threads=threads), own, threads=threads)
+        whole = whole if second is None else second.widened(whole)
         return Surface(whole, partial(mesh_from_point_map, whole.point_mm, whole.normal, whole.with_point()))
     return integrated_surface(maps, manifest.camera)
 
