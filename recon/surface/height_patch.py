@@ -11,6 +11,7 @@ from scipy.stats import chi2
 from recon.surface.error_draws import standard_deviation
 from recon.surface.lateral_places import LateralPlaces
 from recon.surface.noise_reference import NoiseReference
+from recon.surface.patch_loops import mean_tilt_squared
 from recon.surface.ray_chords import Mask, ScalarMap, VectorMap
 from recon.surface.window_bias import ClearSlopes, Slopes, bias_left, without_bias
 from recon.surface.window_quadratic import Lines, WindowFit
@@ -112,20 +113,20 @@ def patch_of(
     now = Slopes(slopes, fit.drawn[1:], fit.variance[1] + fit.variance[2])
     sizes = {"half_width": half_width, "smaller": smaller}
     clear, left, left_drawn = without_bias(now, before, trust, noise.depth_px, noise.within, **sizes)
-    noisy = clear.drawn.copy()
+    rate = np.empty((2, 2, *mask.shape), np.float32)
     slide_variance = np.zeros(mask.shape)
-    for axis, variance, error in zip(place.across, place.variance, place.error, strict=True):
+    for axis, variance, slope_rate in zip(place.across, place.variance, rate, strict=True):
         # How the point, and the slopes there, move when the lateral place does.
         share = (normal[0] * axis[0] + normal[1] * axis[1] + axis[2] / length) / facing
         move = [axis[k] - share * sight[k] for k in range(3)]
         slide_variance += variance * (move[0] ** 2 + move[1] ** 2 + move[2] ** 2)
         _, _, _, pp, pq, qq = fit.coefficients
-        noisy[0] += (2 * pp * move[0] + pq * move[1]).astype(np.float32) * error
-        noisy[1] += (pq * move[0] + 2 * qq * move[1]).astype(np.float32) * error
+        slope_rate[0] = 2 * pp * move[0] + pq * move[1]
+        slope_rate[1] = pq * move[0] + 2 * qq * move[1]
     # Smaller windows are not used, and their noise is not that of the others.
     enough = mask & (fit.count >= FEWEST_PLACES)
     noise_squared = noise.smoothed(
-        _mean_tilt_squared(noisy, normal, length), now.variance, enough, half_width=half_width
+        _mean_tilt_squared(clear.drawn, normal, length, rate, place.error), now.variance, enough, half_width=half_width
     )
     bias_squared = bias_left(
         _mean_tilt_squared(left[:, None], normal, length),
@@ -154,14 +155,18 @@ def _unit(p: ScalarMap, q: ScalarMap) -> VectorMap:
 
 
 def _mean_tilt_squared(
-    slopes: Float[np.ndarray, "2 draws rows cols"], normal: Float64[np.ndarray, "2 rows cols"], length: ScalarMap
+    slopes: Float[np.ndarray, "2 draws rows cols"],
+    normal: Float64[np.ndarray, "2 rows cols"],
+    length: ScalarMap,
+    rate: Float32[np.ndarray, "axes 2 rows cols"] | None = None,
+    error: Float32[np.ndarray, "axes draws rows cols"] | None = None,
 ) -> ScalarMap:
-    """Return the mean square of the angles by which changes of the slopes turn the normal; 0 without any."""
-    # Windows that tell hardly anything have slopes beyond all numbers; NaN says that they are no good.
-    with np.errstate(invalid="ignore", over="ignore"):
-        along = slopes[0] * normal[0].astype(slopes.dtype) + slopes[1] * normal[1].astype(slopes.dtype)
-        squares = np.einsum("adrc,adrc->rc", slopes, slopes) - np.einsum("drc,drc->rc", along, along)
-        return np.maximum(squares.astype(np.float64), 0.0) / (max(slopes.shape[1], 1) * length**2)
+    """Return :func:`mean_tilt_squared` of changes of the slopes, and of those by errors of the lateral place, if given."""
+    if rate is None or error is None:
+        rate = error = np.empty((0, 0, *length.shape), np.float32)
+    result = np.empty_like(length)
+    mean_tilt_squared(slopes, rate, error, normal, length, result)
+    return result
 
 
 def beyond_noise(fit: WindowFit, mask: Mask) -> ScalarMap:

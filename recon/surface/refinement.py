@@ -17,6 +17,7 @@ from recon.surface.fusion import FusedSurface
 from recon.surface.height_patch import Patch, Sight, against_own_normals, beyond_noise, patch_of, within_noise
 from recon.surface.lateral_places import LateralPlaces, along_surface, frame_along, lateral_places
 from recon.surface.noise_reference import NoiseReference, Shares, depth_class, depth_of, steadied
+from recon.surface.patch_loops import take_over
 from recon.surface.ray_chords import Mask, ScalarMap, VectorMap
 from recon.surface.tiles import TILE_PX, Part, inside, tiles
 from recon.surface.window_bias import own_slopes
@@ -195,22 +196,28 @@ def _take_over(
 
     A pixel's own normal may be surer than that of a window whose points are surer than its own.
     """
-    inner, unit = inside(core, wide), place.unit_mm
-    point = place.middle_mm + unit * patch.point[inner] @ place.frame
-    sd_mm = unit * patch.sd[inner]
-    with np.errstate(invalid="ignore"):
-        turned = held[inner] & (patch.normal_sd[inner] < result.normal_sd_rad[core])
-        moved = held[inner] & (sd_mm < result.sd_mm[core])
-    for target, found, better in (
-        (result.point_mm, point, moved),
-        (result.sd_mm, sd_mm, moved),
-        (result.across_sd_mm, unit * patch.across_sd[inner], moved),
-        (result.normal, patch.normal[inner] @ place.frame, turned),
-        (result.normal_sd_rad, patch.normal_sd[inner], turned),
-        (left_rad2, patch.left_squared[inner], turned),
-        (result.half_width_px, np.full(turned.shape, half_width, np.uint8), turned),
-    ):
-        target[core][better] = found[better]
+    inner = inside(core, wide)
+    take_over(
+        held[inner],
+        patch.point[inner],
+        patch.normal[inner],
+        patch.sd[inner],
+        patch.across_sd[inner],
+        patch.normal_sd[inner],
+        patch.left_squared[inner],
+        place.frame,
+        place.middle_mm,
+        place.unit_mm,
+        half_width,
+        (core[0].start, core[1].start),
+        result.point_mm,
+        result.normal,
+        result.sd_mm,
+        result.across_sd_mm,
+        result.normal_sd_rad,
+        left_rad2,
+        result.half_width_px,
+    )
 
 
 def _spacing_mm(point_mm: VectorMap, mask: Mask) -> float:
