@@ -11,9 +11,9 @@ from recon.metrics import StageTime
 
 
 def peak_memory_mb() -> float:
-    """Return the largest resident size of this process so far, in MB (getrusage(2): kB on Linux, bytes on macOS)."""
+    """Return the largest resident size of this process so far, in 10⁶ bytes (getrusage(2): kibibytes on Linux, bytes on macOS)."""
     size = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss
-    return size / (1e6 if sys.platform == "darwin" else 1e3)
+    return size * (1 if sys.platform == "darwin" else 1024) / 1e6
 
 
 @dataclass(slots=True)

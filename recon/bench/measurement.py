@@ -1,7 +1,5 @@
 """One measurement, in a process of its own: wall and processor time, peak memory, and the map that came out."""
 
-import resource
-import sys
 import time
 from concurrent.futures import ThreadPoolExecutor
 from importlib import import_module
@@ -16,6 +14,7 @@ from recon.bench.bench_session import BenchSession
 from recon.bench.contestants import CONTESTANTS, FULL, PAPER, sweep_files
 from recon.errors import ReconError
 from recon.sessions.session import open_session
+from recon.stage_timer import peak_memory_mb
 
 # What a sweep loads, with the compiler, when it is decoded; the paper's needs no fit.
 LOADED_WHEN_NEEDED = {
@@ -52,12 +51,12 @@ def _measure(session: BenchSession, contestant: str, threads: int, map_file: Pat
     run = CONTESTANTS[contestant]
     for module in LOADED_WHEN_NEEDED.get(contestant, ()):
         import_module(module)
-    at_start_mb = peak_mb()
+    at_start_mb = peak_memory_mb()
     with ThreadPoolExecutor(threads) as pool:
         wall_s, processor_s = time.perf_counter(), time.process_time()
         maps = list(pool.map(run, [opened] * threads))
         wall_s, processor_s = time.perf_counter() - wall_s, time.process_time() - processor_s
-    after_mb = peak_mb()
+    after_mb = peak_memory_mb()
     if map_file is not None and maps[0] is not None:
         np.save(map_file, maps[0])
     camera = opened.manifest.camera
@@ -72,10 +71,3 @@ def _measure(session: BenchSession, contestant: str, threads: int, map_file: Pat
         at_start_mb=at_start_mb,
         peak_mb=after_mb,
     )
-
-
-def peak_mb() -> float:
-    """Return the largest memory that this process held so far."""
-    peak = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss
-    # Kilobytes on Linux, bytes on macOS.
-    return peak / (1e6 if sys.platform == "darwin" else 1e3)

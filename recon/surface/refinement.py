@@ -71,6 +71,7 @@ def refine_surface(
     """
     used = np.isfinite(fused.point_mm).all(axis=2)
     shift = along_surface(path_covariance[used], direction[used], normal[used])
+    del path_covariance  # nobody else holds it, and the places below need that room
     result = _own_measurement(fused, direction, normal, normal_sd_rad, shift, used)
     if not used.any():
         return result

@@ -9,7 +9,6 @@ radius) and normals (0.3°). Every size has a process of its own, whose largest 
 import argparse
 import json
 import math
-import resource
 import subprocess
 import sys
 import time
@@ -18,6 +17,7 @@ from pathlib import Path
 
 import numpy as np
 
+from recon.stage_timer import peak_memory_mb
 from recon.surface.fusion import fuse_on_rays
 from recon.surface.refinement import refine_surface
 
@@ -84,7 +84,7 @@ def timed(pixels: float, *, with_refinement: bool) -> Timed:
         fusion_cpu_s=middle_cpu - start_cpu,
         refinement_s=refinement_s,
         refinement_cpu_s=refinement_cpu_s,
-        peak_gb=resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 2**20,
+        peak_gb=peak_memory_mb() / 1e3,
         error_rms_mm=float(np.sqrt(np.nanmean((fused.distance_mm - DISTANCE_MM) ** 2))),
     )
 

@@ -3,13 +3,13 @@
 import argparse
 import json
 import os
-import resource
 import time
 from concurrent.futures import ThreadPoolExecutor
 
 import numpy as np
 
 from drivers.protocols import Axis, Frame
+from recon.stage_timer import peak_memory_mb
 from sim_backend.photography import Photographer
 from sim_backend.scene import Scene, load_scene
 
@@ -51,7 +51,7 @@ def measure(scene: Scene, *, photos: int, threads: int) -> dict[str, float]:
         "photos_per_s": round(photos / (done - traced), 1),
         "cpu_ms_per_photo": round(1000 * (done_cpu - traced_cpu) / photos, 2),
         "bytes_per_photo": size / photos,
-        "peak_memory_mb": resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1024,
+        "peak_memory_mb": peak_memory_mb(),
     }
 
 
