@@ -11,7 +11,7 @@ from recon.metrics import StageTime
 
 
 def peak_memory_mb() -> float:
-    """Return the largest resident size of this process so far, in 10⁶ bytes (getrusage(2): kibibytes on Linux, bytes on macOS)."""
+    """Return the largest resident size of this process so far, in 10⁶ bytes (getrusage(2): KiB on Linux, bytes on macOS)."""
     size = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss
     return size * (1 if sys.platform == "darwin" else 1024) / 1e6
 
