@@ -95,7 +95,9 @@ def _off_all(maps: Maps, row: Whole, col: Whole, windows: Guesses) -> Some:
     surest = (variance_mm2.argmin(axis=0), np.arange(len(row)))
     can_tell = STRAY_SD**2 * variance_mm2 < off_mm2[surest]
     alone = _nearest_squared(maps, row, col) > off_mm2[surest] / 4
-    return contradicts[surest] & (contradicts | ~can_tell).all(axis=0) & alone
+    # Where some windows are sure enough, others that are not may know the side of a crease that the pixel looks at.
+    unsure = ~windows.counted.any(axis=0)
+    return unsure & alone & contradicts[surest] & (contradicts | ~can_tell).all(axis=0)
 
 
 def _nearest_squared(maps: Maps, row: Whole, col: Whole) -> Float64[np.ndarray, " pixels"]:
