@@ -31,6 +31,7 @@ from recon.registration.registration_stage import record_of, registration_of, wi
 from recon.registration.session_slips import Registration, registered
 from recon.running.map_statistics import map_statistics
 from recon.running.object_part import ObjectPart
+from recon.running.outcome_notes import camera_notes, covered_notes, drawn_mesh
 from recon.running.settings import Settings
 from recon.sessions.manifest import Manifest
 from recon.sessions.photos import read_grey
@@ -191,23 +192,14 @@ def _reconstruct(
         (
             *told,
             *index_sentences(index),
-            *_warnings(manifest),
+            *camera_notes(manifest),
             *surface.warnings,
-            *_covered_sentences(surface.maps),
+            *covered_notes(surface.maps),
             *no_mesh,
         ),
         record_of(registration) if registration is not None else None,
         index,
         doubts,
-    )
-
-
-def drawn_mesh(mesh: Mesh | None) -> tuple[Mesh | None, tuple[str, ...]]:
-    """Return the mesh, or None with a sentence where no three neighbouring pixels make a triangle of it."""
-    if mesh is None or len(mesh.faces):
-        return mesh, ()
-    return None, (
-        "No three neighbouring pixels have points, so there is no mesh; the status map shows what was left out.",
     )
 
 
@@ -238,23 +230,3 @@ def _path_count(sweeps: Mapping[tuple[str, str], SweepResult], settings: Setting
 
 def _with_path_count(maps: Maps, paths: PathCounts | None) -> Maps:
     return maps if paths is None else replace(maps, path_count=paths)
-
-
-def _covered_sentences(maps: Maps) -> tuple[str, ...]:
-    """Return what is to be told of points that no pixel measured itself."""
-    covered = int(np.count_nonzero(maps.status == PixelStatus.COVERED))
-    if covered == 0:
-        return ()
-    return (
-        f"{covered} pixels whose own measurement was left out are covered by the surface about them: status COVERED and "
-        "support 3 in the maps, support 3 in the cloud, and part of the mesh.",
-    )
-
-
-def _warnings(manifest: Manifest) -> tuple[str, ...]:
-    warnings = []
-    if manifest.camera.pose is None:
-        warnings.append(
-            "The camera's place is not in the manifest: points beyond it, and what lies beside the object, were not told apart."
-        )
-    return tuple(warnings)

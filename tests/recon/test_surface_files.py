@@ -8,7 +8,7 @@ import pyvista
 import trimesh
 
 from recon.errors import ReconError
-from recon.running.outcome import drawn_mesh
+from recon.running.outcome_notes import drawn_mesh
 from recon.surface.files import CHUNK, write_cloud_ply, write_mesh_glb, write_mesh_ply
 from recon.surface.mesh import Mesh
 
