@@ -75,17 +75,25 @@ def shared_gaps(crossing: Crossing, *, shape: tuple[int, int]) -> SharedGaps:
 
 
 def with_gaps_of_area(
-    status: UInt8[np.ndarray, " pixels"], crossing: Crossing, shared: SharedGaps, manifest: Manifest, *, sigma: float
+    status: UInt8[np.ndarray, " pixels"],
+    crossing: Crossing,
+    shared: SharedGaps,
+    manifest: Manifest,
+    *,
+    sigma: float,
+    spots: Bool[np.ndarray, "rows cols"] | None = None,
 ) -> tuple[UInt8[np.ndarray, " pixels"], Crossing]:
     """Give points to pixels of an area whose gap is too large for noise, and that of those about them all the same.
 
     Such a gap is the area's, of which the standard deviations will tell, and those about it with a slightly smaller one have
-    points: odd is only what differs from its neighbours' mean by so many ``sigma``.
+    points: odd is only what differs from its neighbours' mean by so many ``sigma``. Those of bubbles' ``spots`` stay without.
     """
     mean = np.where(shared.area(), shared.mean, np.nan).ravel()[crossing.pixels]
     with np.errstate(divide="ignore", invalid="ignore"):
         alike = np.abs(crossing.points.gap_mm / crossing.points.gap_sd_mm - mean) < sigma
     found = alike & (crossing.status == PixelStatus.GAP_TOO_LARGE) & ~outside_depth(crossing.points, manifest)
+    if spots is not None:
+        found &= ~spots.ravel()[crossing.pixels]
     if not found.any():
         return status, crossing
     ours = np.where(found, np.uint8(PixelStatus.OK), crossing.status)

@@ -148,7 +148,9 @@ def _reconstruct(
     if spots is not None:
         status, crossing = without_spots(status, crossing, spots)
         shared = shared_gaps(crossing, shape=shape)
-        status, crossing = with_gaps_of_area(status, crossing, shared, manifest, sigma=settings.limits.gap_sigma)
+        status, crossing = with_gaps_of_area(
+            status, crossing, shared, manifest, sigma=settings.limits.gap_sigma, spots=spots
+        )
         crossing = with_shared_gaps(crossing, shared, n_liquid=manifest.n_liquid(), n_air=manifest.n_air)
         apart = shared.area()
         own = OwnPaths.of(sweeps, manifest, np.flatnonzero(np.isin(status, COVERABLE)))

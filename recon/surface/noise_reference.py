@@ -46,8 +46,12 @@ class NoiseReference:
         typical = float(np.median(slope_variance[whole if whole.any() else told]))
         reference = self.turn_sd_rad**2 * np.maximum(slope_variance / typical, 1.0)
         depth = depth_class(self.depth_px)
-        count = np.bincount(depth[told], minlength=len(DEPTHS_PX) + 1)
-        total = np.bincount(depth[told], squares[told] / reference[told], minlength=len(DEPTHS_PX) + 1)
+        with np.errstate(invalid="ignore", divide="ignore"):
+            share = squares / reference
+        # A window that tells hardly anything may turn beyond all numbers, and must not speak for the others.
+        tells = told & np.isfinite(share)
+        count = np.bincount(depth[tells], minlength=len(DEPTHS_PX) + 1)
+        total = np.bincount(depth[tells], share[tells], minlength=len(DEPTHS_PX) + 1)
         self.told.append(np.stack([count, total]))
         return np.where(told, reference * (total / np.maximum(count, 1))[depth], np.nan)
 

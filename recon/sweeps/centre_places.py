@@ -23,9 +23,9 @@ from recon.sweeps.map_bends import map_bends
 WINDOWS_PX = (9, 5)
 # From a pixel with such a window its shift is told to others so far away.
 SPREAD_PX = 6
-# A footprint is cut into so many lines, and no more than so many edges within it are looked at.
+# A footprint is cut into so many lines; one with more edges than these is left as it is.
 LINES = 8
-MOST_EDGES = 48
+MOST_EDGES = 256
 BAND_ROWS = 128
 # So many pixels at a time keep all lanes of a core busy.
 LANES = 32
@@ -84,7 +84,7 @@ def _alike(pattern: StripePattern) -> Float64[np.ndarray, " apart"]:
     """Return how alike the light changes at two edges of device pixels while the stripe passes, by how far they are apart."""
     reach = int(np.ceil(pattern.width_px)) + 2
     change = np.diff(device_brightness(np.arange(-reach, reach + 1.0), pattern))
-    return np.correlate(np.pad(change, (0, MOST_EDGES)), change, "valid")[:MOST_EDGES].copy()
+    return np.correlate(change, change, "full")[len(change) - 1 :].copy()
 
 
 def _shifts(
@@ -137,13 +137,13 @@ def _write_shifts(
     place: np.ndarray, terms: np.ndarray, pixels: np.ndarray, alike: np.ndarray, shift: np.ndarray
 ) -> None:
     """Write the shifts of some pixels by the terms of the map about them."""
-    most = len(alike)
+    apart = len(alike)
     counts, offset = np.empty(LANES, np.int64), np.empty(LANES, np.float32)
     steepness, other = np.empty(LANES, np.float32), np.empty(LANES, np.float32)
     bend, bend_across, twist = np.empty(LANES, np.float32), np.empty(LANES, np.float32), np.empty(LANES, np.float32)
     fading, fading_across = np.empty(LANES, np.float32), np.empty(LANES, np.float32)
     cut, bent = np.empty(LANES, np.float32), np.empty(LANES, np.float32)
-    length, moved = np.empty((most, LANES), np.float32), np.empty((most, LANES), np.float32)
+    length, moved = np.empty((MOST_EDGES, LANES), np.float32), np.empty((MOST_EDGES, LANES), np.float32)
     half = np.float32(0.5)
     for low in range(0, len(pixels), LANES):
         longest = 0
@@ -156,7 +156,7 @@ def _write_shifts(
             reach = 0.5 * (np.float64(abs(slope)) + np.float64(abs(slope_across)))
             first = np.ceil(place[pixel] - reach - 0.5)
             edges = int(np.floor(place[pixel] + reach - 0.5) - first) + 1
-            counts[lane] = min(max(edges, 0), most) if slope != 0 else 0
+            counts[lane] = edges if slope != 0 and 0 < edges <= MOST_EDGES else 0
             longest = max(longest, counts[lane])
             steepness[lane], other[lane] = 1 / abs(slope), abs(slope_across)
             bend[lane], bend_across[lane] = terms[2 + 2 * steep, pixel], terms[4 - 2 * steep, pixel]
@@ -180,7 +180,7 @@ def _write_shifts(
         for lane in range(min(LANES, len(pixels) - low)):
             total = weight = 0.0
             for one in range(counts[lane]):
-                for two in range(counts[lane]):
+                for two in range(max(one + 1 - apart, 0), min(one + apart, counts[lane])):
                     total += alike[abs(one - two)] * length[one, lane] * moved[two, lane]
                     weight += alike[abs(one - two)] * length[one, lane] * length[two, lane]
             if weight > 0:

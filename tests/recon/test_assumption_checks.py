@@ -1,6 +1,7 @@
 """What a session shows of the method's assumptions: traced through the simulator's optics, with one of them wrong at a time."""
 
 from dataclasses import replace
+from functools import partial
 from pathlib import Path
 
 import numpy as np
@@ -112,6 +113,21 @@ def test_a_gap_that_its_area_shares_gives_no_point_behind_the_camera_or_the_disp
     crossing = replace(crossing, points=replace(crossing.points, distance_liquid_mm=behind))
     _, after = with_gaps_of_area(status, crossing, shared_gaps(crossing, shape=shape), session.manifest, sigma=5.0)
     assert after.status[pixel] == PixelStatus.GAP_TOO_LARGE
+
+
+def test_a_spot_with_the_gaps_of_an_area_gets_no_point(scene: Scene) -> None:
+    shape = (scene.camera.rows, scene.camera.columns)
+    normalised = np.full(shape, 4.0)
+    spot = np.zeros(shape, dtype=bool)
+    spot[42:48, 56:62] = True
+    normalised[spot] = 5.4
+    session, status, crossing = crossings_with_gaps(scene, normalised)
+    given = partial(
+        with_gaps_of_area, status, crossing, shared_gaps(crossing, shape=shape), session.manifest, sigma=5.0
+    )
+    with_points, without = given()[0], given(spots=spot)[0]
+    assert (with_points.reshape(shape)[spot] == PixelStatus.OK).any()
+    assert (without.reshape(shape)[spot] == PixelStatus.GAP_TOO_LARGE).all()
 
 
 SHAPE = (40, 40)

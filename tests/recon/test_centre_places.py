@@ -86,6 +86,34 @@ def test_a_bent_or_fading_footprint_is_moved_to_its_centre(by_col, by_row, bends
     assert found[9, 9] == pytest.approx(expected, abs=3e-4 + 0.15 * abs(expected))
 
 
+@pytest.mark.parametrize("slope", [30.0, 60.0, 120.0])
+def test_a_fading_footprint_wider_than_the_stripe_is_moved_by_its_two_ends(slope):
+    """A box that fades by a share a, seen as if it did not: of its ends ±½ of the step is missing, rising by 1 over its width.
+
+    With P = ∫ p and the correlation R of the stripe's profile p with itself, least squares move the box by
+    a (P²/2 − 2 ∫₀^∞ t R dt / slope) / (2 R(0)).
+    """
+    width, fading = 24.0, 0.05
+    wide = StripePattern(profile="raised_cosine", width_px=width, first_px=0.0, step_px=1.0, count=4000)
+    at = np.linspace(-width, width, 4801)
+    spacing = at[1] - at[0]
+    profile = np.where(np.abs(at) < width / 2, 0.5 * (1 + np.cos(2 * np.pi * at / width)), 0.0)
+    alike = np.correlate(profile, profile, "full")[len(at) - 1 :] * spacing
+    first_moment = (alike * spacing * np.arange(len(alike))).sum() * spacing
+    whole = profile.sum() * spacing
+    expected = fading * (whole**2 / 2 - 2 * first_moment / slope) / (2 * alike[0])
+    place, light = map_of(2000.2, slope, 0.0, (0.0, 0.0, 0.0), (fading, 0.0))
+    found, _ = centre_shifts(
+        place,
+        np.full(place.shape, SURE_PX, np.float32),
+        np.ones(place.shape, dtype=bool),
+        np.arange(place.size),
+        light.ravel(),
+        pattern=wide,
+    )
+    assert found[9, 9] == pytest.approx(expected, rel=0.03)
+
+
 def test_a_footprint_within_one_device_pixel_is_not_moved():
     place, light = map_of(32.0, 0.4, 0.1, (0.01, 0.0, 0.0), (0.02, 0.0))
     found, _ = shifts_of(place, light)

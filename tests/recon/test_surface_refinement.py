@@ -244,6 +244,11 @@ def test_few_draws_tell_the_noise_of_windows_to_a_per_cent_where_it_is_a_share_o
     told = NoiseReference(turn_sd_rad, depth_px, mask).smoothed(squares, np.ones(mask.shape), mask, half_width=4)
     # 72² pixels of 12 draws: √(2 / 12) / 72 = 0.6 %.
     assert np.allclose(told, true, rtol=3 * 0.006)
+    # A window beyond all numbers speaks for no other.
+    squares[30, 40], squares[50, 20] = np.nan, np.inf
+    reference = NoiseReference(turn_sd_rad, depth_px, mask)
+    assert np.allclose(reference.smoothed(squares, np.ones(mask.shape), mask, half_width=4), true, rtol=3 * 0.006)
+    assert np.isfinite(reference.told).all()
 
 
 def test_refined_normals_and_points_are_far_better_than_measured_ones(hemisphere: tuple[Maps, Maps, Truth]) -> None:
