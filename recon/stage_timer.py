@@ -6,14 +6,23 @@ import time
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass
+from pathlib import Path
 
 from recon.metrics import StageTime
 
 
 def peak_memory_mb() -> float:
-    """Return the largest resident size of this process so far, in 10⁶ bytes (getrusage(2): KiB on Linux, bytes on macOS)."""
-    size = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss
-    return size * (1 if sys.platform == "darwin" else 1024) / 1e6
+    """Return the largest resident size of this process so far, in 10⁶ bytes.
+
+    On Linux that is VmHWM of proc(5), in KiB: getrusage(2) keeps what the program had that started this one. Elsewhere it has to
+    serve; macOS counts in bytes.
+    """
+    try:
+        told = Path("/proc/self/status").read_text(encoding="utf-8")
+        return int(told.split("VmHWM:")[1].split()[0]) * 1024 / 1e6
+    except (OSError, IndexError):
+        size = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss
+        return size * (1 if sys.platform == "darwin" else 1024) / 1e6
 
 
 @dataclass(slots=True)
