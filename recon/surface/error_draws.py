@@ -113,15 +113,15 @@ def _drawn(
     noise: NoiseDraw, rng: np.random.Generator, *, threads: int
 ) -> Iterator[tuple[SomePixels, SomeVectors, SomeVectors]]:
     """Yield the draws one after the other; with several threads, the next is made while one is used."""
+    if threads == 1:
+        yield from (noise(rng) for _ in range(DRAWS))
+        return
     with ThreadPoolExecutor(1) as pool:
         coming = pool.submit(noise, rng)
-        for number in range(1, DRAWS + 1):
-            drawn = coming.result()
-            if number < DRAWS and threads > 1:
-                coming = pool.submit(noise, rng)
+        for _ in range(DRAWS - 1):
+            drawn, coming = coming.result(), pool.submit(noise, rng)
             yield drawn
-            if number < DRAWS and threads == 1:
-                coming = pool.submit(noise, rng)
+        yield coming.result()
 
 
 @compiled

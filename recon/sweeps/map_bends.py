@@ -37,8 +37,7 @@ def map_bends(
     terms, rough = np.empty((7, *there.shape), np.float32), np.zeros((2, *there.shape), np.float32)
     by_row = np.empty((5, *there.shape), np.float32)
     _write_rows(place_px, fading, window_px // 2, by_row)
-    limits = np.array([LARGEST_ROUGHNESS**2, SUREST_PX**2, LARGEST_FLICKER**2], np.float32)
-    _write_terms(by_row, place_px, sd_px, fading, whole, window_px // 2, limits, terms, rough)
+    _write_terms(by_row, place_px, sd_px, fading, whole, window_px // 2, terms, rough)
     holds = whole.view(bool)
     for one in rough:
         holds &= cv2.blur(one, (window_px, window_px), borderType=cv2.BORDER_CONSTANT) <= 0
@@ -70,7 +69,6 @@ def _write_terms(
     fading: np.ndarray,
     whole: np.ndarray,
     half: int,
-    limits: np.ndarray,
     terms: np.ndarray,
     rough: np.ndarray,
 ) -> None:
@@ -85,7 +83,8 @@ def _write_terms(
     pixels = np.float32(window * window)
     # What a place keeps of its own error beside the surface through its window.
     kept = one - one / pixels - two * mean_square**2 / bends
-    largest_rough, surest, largest_flicker = kept * limits[0], limits[1], limits[2]
+    largest_rough, largest_flicker = kept * np.float32(LARGEST_ROUGHNESS**2), np.float32(LARGEST_FLICKER**2)
+    surest = np.float32(SUREST_PX**2)
     even_sum, light_sum, left = np.empty(cols, np.float32), np.empty(cols, np.float32), np.empty(cols, np.float32)
     for row in range(half, rows - half):
         terms[:, row, :] = np.float32(0)
