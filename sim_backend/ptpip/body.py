@@ -71,13 +71,16 @@ Operation = Callable[[Request], Reply]
 
 
 class Body:
-    """A PTP camera with one card. ``tell`` carries events to the host and is set by the responder."""
+    """A PTP camera with one card.
+
+    ``tell`` carries events, each a code and its parameters, to the host in one piece; the responder sets it.
+    """
 
     captures: frozenset[int] = frozenset()
 
     def __init__(self, photographs: Photographs, *, exposure_s: float, download_s: float) -> None:
         self.faults = Faults()
-        self.tell: Callable[[int, tuple[int, ...]], None] = lambda _code, _parameters: None
+        self.tell: Callable[..., None] = lambda *_events: None
         self.photos_taken = 0
         self.exposure_s = exposure_s
         self.readout_s = READOUT_SHARE * download_s
@@ -203,11 +206,15 @@ class Body:
 
     def press_shutter_by_hand(self) -> None:
         """Take a photo that nobody on the wire asked for."""
-        self.announce(self.store(self._kept(self._photographs)))
+        self.announce(self.store_stray())
 
-    def announce(self, stored: StoredObject) -> None:
-        """Tell the host that a photo was added."""
-        self.tell(OBJECT_ADDED, (stored.handle,))
+    def store_stray(self) -> StoredObject:
+        """Put a photo on the card that nobody on the wire asked for, without a word to the host."""
+        return self.store(self._kept(self._photographs))
+
+    def announce(self, *stored: StoredObject) -> None:
+        """Tell the host, in one breath, that photos were added: it learns of all of them or of none."""
+        self.tell(*((OBJECT_ADDED, (file.handle,)) for file in stored))
 
     # Operations of every PTP camera
 

@@ -132,25 +132,27 @@ class CanonEos40D(Body):
             SENSITIVITIES[self.properties[SENSITIVITY].value],
         )
 
-    def announce(self, stored: StoredObject) -> None:
-        """Queue the record that tells of a photo."""
+    def announce(self, *stored: StoredObject) -> None:
+        """Queue the records that tell of photos."""
+        self._queue(*map(self._record_of_photo, stored))
+
+    def _record_of_photo(self, stored: StoredObject) -> tuple[int, bytes]:
         name = stored.name.encode("ascii") + b"\0"
         size = len(stored.data)
-        if self.writes_to_card():
-            head = struct.pack("<6I", stored.handle, STORAGE, stored.format, 0, 0, size)
-            self._queue(OBJECT_ADDED_RECORD, head + struct.pack("<II", PHOTO_FOLDER, stored.handle) + name)
-        else:
-            self._queue(REQUEST_TRANSFER, struct.pack("<5I", stored.handle, stored.format, 0, size, 0) + name)
+        if not self.writes_to_card():
+            return REQUEST_TRANSFER, struct.pack("<5I", stored.handle, stored.format, 0, size, 0) + name
+        head = struct.pack("<6I", stored.handle, STORAGE, stored.format, 0, 0, size)
+        return OBJECT_ADDED_RECORD, head + struct.pack("<II", PHOTO_FOLDER, stored.handle) + name
 
-    def _queue(self, code: int, body: bytes) -> None:
+    def _queue(self, *records: tuple[int, bytes]) -> None:
         with self._records_lock:
-            self._records.append(struct.pack("<II", 8 + len(body), code) + body)
+            self._records += [struct.pack("<II", 8 + len(body), code) + body for code, body in records]
 
     def _remote_release(self, _request: Request) -> Reply:
         """Answer when the shutter has closed; the result in the response's parameter is 0 for a photo taken."""
         if not self._reading_out.acquire(blocking=False):
             return Reply(DEVICE_BUSY)
-        self._queue(CAMERA_STATUS, struct.pack("<I", 1))
+        self._queue((CAMERA_STATUS, struct.pack("<I", 1)))
         closed_s = self.open_and_close_shutter()
         if self.readout_s > 0:
             threading.Thread(target=self._read_out, args=(closed_s,), name="readout", daemon=True).start()
@@ -165,17 +167,16 @@ class CanonEos40D(Body):
             if self.faults.happens("lost"):
                 return
             if self.faults.happens("stray_in_capture"):
-                self.press_shutter_by_hand()
+                stored.append(self.store_stray())
             data = self.develop()
-            stored = [self.store(data if self.writes_to_card() else self.cut_short(data))]
             if self._image_format == RAW_AND_LARGE_FINE_JPEG:
-                stored.insert(0, self.store(TIFF_HEADER + data, kind=RAW))
+                stored.append(self.store(TIFF_HEADER + data, kind=RAW))
+            stored.append(self.store(data if self.writes_to_card() else self.cut_short(data)))
             time.sleep(max(0.0, closed_s + self.readout_s - time.monotonic()))
         finally:
             self._reading_out.release()
-            for file in stored:
-                self.announce(file)
-            self._queue(CAMERA_STATUS, struct.pack("<I", 0))
+            self.announce(*stored)
+            self._queue((CAMERA_STATUS, struct.pack("<I", 0)))
 
     # Settings
 
@@ -185,18 +186,18 @@ class CanonEos40D(Body):
             self._report(prop)
             if prop.choices:
                 values = struct.pack(f"<{len(prop.choices)}I", *prop.choices)
-                self._queue(CHOICES_CHANGED, struct.pack("<III", prop.code, 3, len(prop.choices)) + values)
+                self._queue((CHOICES_CHANGED, struct.pack("<III", prop.code, 3, len(prop.choices)) + values))
         self._report_image_format()
         formats = b"".join(struct.pack(f"<{len(known)}I", *known) for known in FORMATS)
-        self._queue(CHOICES_CHANGED, struct.pack("<III", IMAGE_FORMAT, 3, len(FORMATS)) + formats)
+        self._queue((CHOICES_CHANGED, struct.pack("<III", IMAGE_FORMAT, 3, len(FORMATS)) + formats))
         return Reply()
 
     def _report(self, prop: Property) -> None:
         none_left = prop.code == AVAILABLE_SHOTS and self.faults.no_shots_left
-        self._queue(VALUE_CHANGED, struct.pack("<II", prop.code, 0 if none_left else prop.value))
+        self._queue((VALUE_CHANGED, struct.pack("<II", prop.code, 0 if none_left else prop.value)))
 
     def _report_image_format(self) -> None:
-        self._queue(VALUE_CHANGED, struct.pack(f"<{1 + len(self._image_format)}I", IMAGE_FORMAT, *self._image_format))
+        self._queue((VALUE_CHANGED, struct.pack(f"<{1 + len(self._image_format)}I", IMAGE_FORMAT, *self._image_format)))
 
     def _get_event(self, _request: Request) -> Reply:
         with self._records_lock:

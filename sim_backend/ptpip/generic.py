@@ -86,14 +86,13 @@ class GenericBody(Body):
             closed_s = self.open_and_close_shutter()
             if self.faults.happens("lost"):
                 return
-            if self.faults.happens("stray_in_capture"):
-                self.press_shutter_by_hand()
+            strays = [self.store_stray()] if self.faults.happens("stray_in_capture") else []
             stored = self.store(self.develop())
             time.sleep(max(0.0, closed_s + self.readout_s - time.monotonic()))
         finally:
             self._exposing.release()
-        self.announce(stored)
-        self.tell(CAPTURE_COMPLETE, ())
+        self.announce(*strays, stored)
+        self.tell((CAPTURE_COMPLETE, ()))
 
     def _get_property_description(self, request: Request) -> Reply:
         prop = self.properties.get(request.parameter(0))

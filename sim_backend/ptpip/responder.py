@@ -126,9 +126,9 @@ class Responder:
             if kind == PacketType.END_DATA:
                 return bytes(data)
 
-    def _tell(self, code: int, parameters: tuple[int, ...]) -> None:
+    def _tell(self, *told: tuple[int, tuple[int, ...]]) -> None:
         with self._lock:
             events = self._events
         if events is not None:
             with contextlib.suppress(OSError):  # nobody may listen any more
-                self._send(events, packets.event(code, 0, parameters))
+                self._send(events, b"".join(packets.event(code, 0, parameters) for code, parameters in told))
