@@ -3,11 +3,14 @@
 Around each sub-ray the map from photo to display is nearly linear, so its square share of the photo covers a
 parallelogram of the display. Seen along one display axis a parallelogram is a trapezoid, whose share of each (box
 shaped) device column has a closed form: the stripe curves come out smooth, without the steps of point sampling.
+The parallelogram stands about the middle of its light, which is not where the sub-ray ends if the map bends there.
 """
+
+from dataclasses import replace
 
 import numpy as np
 import scipy.sparse as sp
-from jaxtyping import Float32, Float64, Int64, UInt8
+from jaxtyping import Bool, Float32, Float64, Int64, UInt8
 
 from sim_backend.light_paths import ScreenMap
 
@@ -29,17 +32,51 @@ def local_slopes(place_px: Grid, route: Int64[np.ndarray, "rows columns"]) -> tu
     Only neighbours on the same route count: across an edge of the object there is no slope.
     """
     slopes = []
-    for axis in (1, 0):
-        step = np.diff(place_px, axis=axis)
-        same = (np.diff(route, axis=axis) == 0) & np.isfinite(step)
-        step = np.where(same, step, 0.0)
-        total, count = np.zeros_like(place_px), np.zeros(place_px.shape, np.int8)
-        for part in (np.s_[:-1], np.s_[1:]):
-            index = (slice(None), part) if axis == 1 else (part, slice(None))
-            total[index] += step
-            count[index] += same
+    for place, own in ((place_px, route), (place_px.T, route.T)):
+        step, same = _steps(place, own)
+        total, count = np.zeros_like(place), np.zeros(place.shape, np.int8)
+        for part in (np.s_[:, :-1], np.s_[:, 1:]):
+            total[part] += step
+            count[part] += same
         slopes.append(np.clip(total / np.maximum(count, 1), -WIDEST_PX / 2, WIDEST_PX / 2))
-    return slopes[0], slopes[1]
+    return slopes[0], slopes[1].T
+
+
+def _steps(
+    place_px: Grid, route: Int64[np.ndarray, "rows columns"]
+) -> tuple[Float64[np.ndarray, "rows steps"], Bool[np.ndarray, "rows steps"]]:
+    """Return the steps along columns, 0 across a change of route, and which are none of these."""
+    step = np.diff(place_px, axis=1)
+    same = (np.diff(route, axis=1) == 0) & np.isfinite(step)
+    return np.where(same, step, 0.0), same
+
+
+def middles_of_light(places: ScreenMap) -> ScreenMap:
+    """Return where the light of each sub-ray's share of the photo lies on the mean, instead of where its middle looks.
+
+    Over a square of side 1, whose middle looks at u, the mean of u + g·x + ½ x·C x in the light T (1 + a·x) is
+    u + (C_xx + C_yy) / 24 + g·a / 12, for the mean of x² is 1/12. Where a sub-ray has no neighbours on its own route at
+    both sides, nothing is known of bends.
+    """
+    fading = local_slopes(places.transmission.astype(np.float64), places.route)
+    moved = []
+    for place in (places.column_px, places.row_px):
+        slopes = local_slopes(place, places.route)
+        shift = _bend(place, places.route) / 24
+        for slope, faded in zip(slopes, fading, strict=True):
+            shift += slope * faded / (12 * np.maximum(places.transmission, 1e-6))
+        within = 0.5 * (np.abs(slopes[0]) + np.abs(slopes[1]))  # the parallelogram, which no mean lies beyond
+        moved.append(place + np.clip(shift, -within, within))
+    return replace(places, column_px=moved[0], row_px=moved[1])
+
+
+def _bend(place_px: Grid, route: Int64[np.ndarray, "rows columns"]) -> Grid:
+    """Return the sum of the second differences along columns and along rows."""
+    bend = np.zeros_like(place_px)
+    for turned, place, own in ((bend, place_px, route), (bend.T, place_px.T, route.T)):
+        step, same = _steps(place, own)
+        turned[:, 1:-1] += np.where(same[:, 1:] & same[:, :-1], np.diff(step, axis=1), 0.0)
+    return bend
 
 
 def trapezoid_share(

@@ -15,7 +15,7 @@ from jaxtyping import Float32, Float64
 from drivers.protocols import Frame
 from sim_backend.display_bubbles import through_display_bubbles
 from sim_backend.disturbance import QUIET, Disturbance, disturbed_scene, rippled
-from sim_backend.footprint import axis_matrix, image_light, light_of, patch_matrix
+from sim_backend.footprint import axis_matrix, image_light, light_of, middles_of_light, patch_matrix
 from sim_backend.held_sheet import Directions, HeldSheet, sheet_light, straight_rays
 from sim_backend.light_paths import ScreenMap, SubRays, on_panel, screen_map, trace_sub_rays
 from sim_backend.marks import mark_light
@@ -172,7 +172,9 @@ class Photographer:
                     rays = tuple(
                         (weight, through_display_bubbles(scene, each, stage_position_mm)) for weight, each in rays
                     )
-                colours = tuple((weight, screen_map(scene, each, stage_position_mm)) for weight, each in rays)
+                colours = tuple(
+                    (weight, middles_of_light(screen_map(scene, each, stage_position_mm))) for weight, each in rays
+                )
                 self._views[key] = View(colours, marks)
                 while len(self._views) > VIEWS_KEPT:
                     self._views.popitem(last=False)

@@ -7,8 +7,8 @@ import pytest
 import simplejpeg
 
 from drivers.protocols import Frame, Patch
-from sim_backend.footprint import axis_matrix, trapezoid_share
-from sim_backend.light_paths import ScreenMap
+from sim_backend.footprint import axis_matrix, middles_of_light, trapezoid_share
+from sim_backend.light_paths import ScreenMap, screen_map, trace_sub_rays
 from sim_backend.photography import Photographer
 from sim_backend.scene import Scene, SceneDisplay, load_scene
 from sim_backend.sensor import noisy_grey, normal_noise
@@ -147,6 +147,28 @@ def test_a_linear_map_is_integrated_exactly_over_square_pixels() -> None:
     np.testing.assert_allclose(matrix, np.clip(overlap, 0, None) / 0.7, atol=1e-5)
 
 
+def test_a_pixels_light_lies_where_the_integral_over_the_pixel_says_on_a_bent_map_in_uneven_light() -> None:
+    # Over a pixel from -1/2 to 1/2 each way, ∫ x² = 1/12: the mean of 20 x + 8 x² - 6 y² + 5 x y in the light 1 + 0.3 x
+    # is (8 - 6 + 20 · 0.3) / 12, and that of 4 y - 3 x² + 2 y² is (-3 + 2) / 12.
+    fold, pixels = 2, 3
+    y, x = (np.indices((fold * pixels, fold * pixels)) + 0.5) / fold - 1.5
+    light, one_route = (1 + 0.3 * x).astype(np.float32), np.zeros(x.shape, np.int64)
+    places = ScreenMap(20 * x + 8 * x**2 - 6 * y**2 + 5 * x * y, 4 * y - 3 * x**2 + 2 * y**2, light, one_route)
+    middles = middles_of_light(places)
+    middle = np.s_[fold : 2 * fold, fold : 2 * fold]
+    for place, expected in ((middles.column_px, 8 / 12), (middles.row_px, -1 / 12)):
+        mean = np.average(place[middle], weights=light[middle])
+        assert mean == pytest.approx(expected, abs=1e-6)
+    np.testing.assert_array_equal(middles.transmission, light)
+
+
+def test_beside_a_change_of_route_or_a_lost_ray_no_bend_is_told() -> None:
+    place = np.array([[0.0, 1, 2, 3, 14, 15, 16, np.nan, 20, 21, 23]]).repeat(3, axis=0)
+    route = np.array([[0, 0, 0, 0, 1, 1, 1, 1, 1, 1, 1]]).repeat(3, axis=0)
+    middles = middles_of_light(ScreenMap(place, place, np.ones(place.shape, np.float32), route))
+    np.testing.assert_allclose(middles.column_px - place, [[0, 0, 0, 0, 0, 0, 0, np.nan, 0, 1 / 24, 0]] * 3, atol=1e-12)
+
+
 def test_noise_is_shot_noise_and_read_noise(scene: Scene) -> None:
     camera = scene.camera.model_copy(update={"full_well_electrons": 5000.0, "read_noise_electrons": 20.0})
     for value in (0.1, 0.5, 0.8):
@@ -280,11 +302,12 @@ def test_the_lens_model_is_that_of_opencv() -> None:
     scene = small_scene("thin_cone")
     coefficients = (0.3, -0.2, 0.01, -0.02, 0.1)
     camera = scene.camera.model_copy(update={"distortion": coefficients, "supersampling": 1, "focal_x_px": 90.0})
-    seen = Photographer(scene.model_copy(update={"camera": camera})).pixel_coordinates(
-        stage_position_mm=20.0, wet=False, object_present=False
-    )
-    rows, columns = np.nonzero(np.isfinite(seen[..., 0]))
-    place = (seen[rows, columns] - 47.5) * (32 / 96)
+    scene = scene.model_copy(update={"camera": camera})
+    rays = trace_sub_rays(scene, scene.world(wet=False, object_present=False))
+    places = screen_map(scene, rays, 20.0)  # one ray through each pixel's centre
+    rows, columns = np.nonzero(np.isfinite(places.column_px))
+    seen = np.column_stack([places.column_px[rows, columns], places.row_px[rows, columns]])
+    place = (seen - 47.5) * (32 / 96)
     points = np.column_stack([place, np.full(len(place), 80.0)])
     matrix = np.array([[90.0, 0, camera.centre_x_px], [0, camera.focal_y_px, camera.centre_y_px], [0, 0, 1]])
     projected, _ = cv2.projectPoints(points, np.zeros(3), np.zeros(3), matrix, np.array(coefficients))
