@@ -10,8 +10,8 @@ from recon.calibration.fep_error import Geometry, entry_points_of
 from recon.calibration.sight_line import PanelPose
 from recon.patterns.sweep_frames import screen_mm
 from recon.sessions.manifest import DisplayPanel
-from sim_backend.photography import Photographer
 from sim_backend.scene import Scene
+from sim_backend.truth import compute_truth
 
 CORRESPONDENCE_SD_PX = 0.1  # of the display, as in the figures of the method's sources of error
 PANEL = DisplayPanel(columns=2048, rows=1536, pitch_mm=0.0962)
@@ -31,15 +31,9 @@ def pixels_of(
 ) -> tuple[Geometry, np.ndarray, np.ndarray]:
     """Return noisy display places of the pixels that see the object, and the true points and normals in the camera's frame."""
     small = [one.resized(camera_columns=486) for one in (scene, slipped)]
-    small = [one.model_copy(update={"camera": one.camera.model_copy(update={"supersampling": 1})}) for one in small]
-    photographer, after = (Photographer(one) for one in small)
-    truth = photographer.truth()
+    truth, after = (compute_truth(one) for one in small)
     judged = truth.status == 0
-    places: dict[str, np.ndarray] = {}
-    for position, stage_mm in enumerate(scene.stage_positions_mm):
-        for condition, wet in (("air", False), ("liquid", True)):
-            source = after if wet and position == 1 else photographer
-            places[f"pos{position}_{condition}"] = source.pixel_coordinates(stage_position_mm=stage_mm, wet=wet)
+    places = {**truth.place_px, "pos1_liquid": after.place_px["pos1_liquid"]}
     for place in places.values():
         judged &= np.isfinite(place).all(axis=2)
     screen = {}
