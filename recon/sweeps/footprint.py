@@ -44,12 +44,21 @@ def coordinate_gradient(
         # A tile sees the neighbours of its own neighbours, so that it is none the worse for being one.
         above, before = max(top - NEIGHBOURHOOD_PX, 0), max(left - NEIGHBOURHOOD_PX, 0)
         part = (slice(above, bottom + NEIGHBOURHOOD_PX), slice(before, right + NEIGHBOURHOOD_PX))
-        if np.count_nonzero(valid[part]) < FEWEST_NEIGHBOURS:
+        if not _some_window_tells(valid[part]):
             continue
         inner = (slice(top - above, bottom - above), slice(left - before, right - before))
         for number, slopes in enumerate(_tile_gradient(place_px[part], valid[part], quantum_px=quantum_px)):
             gradient[top:bottom, left:right, number] = slopes[inner]
     return gradient
+
+
+def _some_window_tells(valid: Bool[np.ndarray, "rows cols"]) -> bool:
+    """Return whether some window holds enough pixels: where it is dark, noise lights one here and there."""
+    if np.count_nonzero(valid) < FEWEST_NEIGHBOURS:
+        return False
+    window = (LARGE_WINDOW_PX, LARGE_WINDOW_PX)
+    number = cv2.boxFilter(valid.astype(np.uint8), cv2.CV_8U, window, normalize=False, borderType=cv2.BORDER_CONSTANT)
+    return int(number.max()) >= FEWEST_NEIGHBOURS
 
 
 def _tile_gradient(place_px: np.ndarray, valid: np.ndarray, *, quantum_px: float) -> Float64[np.ndarray, "2 rows cols"]:

@@ -31,6 +31,16 @@ def test_a_plane_has_the_same_slopes_on_both_sides_of_a_tile() -> None:
     np.testing.assert_allclose(gradient, np.broadcast_to([0.3, -0.2], gradient.shape), atol=1e-6)
 
 
+def test_a_small_patch_in_the_dark_has_slopes_and_pixels_that_noise_lit_have_none() -> None:
+    row, col = np.mgrid[: TILE_PX + 40, : 2 * TILE_PX].astype(np.float64)
+    patch = (row >= 100) & (row < 107) & (col >= 60) & (col < 67)
+    # Each alone in its window, in the tile of the patch and in the one beside it.
+    lone = (row % 40 == 20) & (col % 40 == 20) & ~patch
+    gradient = coordinate_gradient(100 + 0.3 * col - 0.2 * row, patch | lone, quantum_px=0.01)
+    np.testing.assert_allclose(gradient[103, 63], [0.3, -0.2], atol=1e-6)
+    assert np.isnan(gradient[lone & (np.hypot(row - 103, col - 63) > 20)]).all()
+
+
 @pytest.mark.parametrize("jump_px", [-14.0, -9.0, -6.0])
 def test_a_slope_beside_an_edge_is_that_of_the_pixels_own_side(jump_px: float) -> None:
     # Two planes that meet in a jump along an oblique line, seen in whole display pixels as footprints narrower than one are.
