@@ -11,6 +11,7 @@ from recon.sweeps.stripe_fit import StripeFit
 
 # The median misfit of so many curves is that of all.
 MISFIT_PIXELS = 1 << 20
+LAID_AT_ONCE = 1 << 16
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -55,6 +56,20 @@ def write_good(
         if good[number]:
             pixel = np.uintp(pixels[number])
             place_map[pixel], sd_map[pixel] = place_px[number], sd_px[number]
+
+
+def laid(
+    values: Float32[np.ndarray, " pixels"], pixels: Int[np.ndarray, " pixels"], band: slice, *, columns: int
+) -> Float32[np.ndarray, "rows cols"]:
+    """Return a band of rows of the photo with the values of the listed pixels in their places, else NaN."""
+    laid = np.full((band.stop - band.start) * columns, np.nan, dtype=np.float32)
+    # Numbers of another type would have all the pixels converted.
+    ends = np.array([band.start * columns, band.stop * columns], dtype=pixels.dtype)
+    first, last = np.searchsorted(pixels, ends)
+    for low in range(first, last, LAID_AT_ONCE):
+        rows = slice(low, min(low + LAID_AT_ONCE, last))
+        laid[pixels[rows] - band.start * columns] = values[rows]
+    return laid.reshape(-1, columns)
 
 
 @dataclass(frozen=True, slots=True, eq=False)

@@ -7,6 +7,7 @@ import numpy as np
 from jaxtyping import Bool, Float, Float32, Float64
 
 from recon.compiled import compiled
+from recon.sweeps.window_planes import FEWEST_NEIGHBOURS, window_planes
 
 WINDOW_PX = 5
 # Where a small window spans less than this many quanta of the places it sees their steps; a larger one is taken.
@@ -14,9 +15,6 @@ LARGE_WINDOW_PX = 15
 FEWEST_QUANTA = 2.5
 # Pixels whose places are more than so many times the usual distance from their neighbours' median are left out.
 LARGEST_SPREADS = 6
-# A slope needs a few neighbours, and not all of them in one line.
-FEWEST_NEIGHBOURS = 6
-LEAST_DETERMINANT = 1e-6
 # Maps are gone through tile by tile, each with what its pixels' own neighbours see: two medians and the large window.
 TILE_PX = 256
 NEIGHBOURHOOD_PX = 2 * (WINDOW_PX // 2) + 2 * (LARGE_WINDOW_PX // 2)
@@ -68,26 +66,17 @@ def _tile_gradient(place_px: np.ndarray, valid: np.ndarray, *, quantum_px: float
     write_distances(value, median, off)
     spread = cv2.medianBlur(off, WINDOW_PX)
     keep_near(value, np.ascontiguousarray(valid), median, spread, 2 * quantum_px, keep)
-    planes = _planes(value, keep, window_px=LARGE_WINDOW_PX)
+    planes = window_planes(value, keep, window_px=LARGE_WINDOW_PX)
     slopes = planes[:2].copy()
-    edge = np.zeros(keep.shape, dtype=np.uint8)
-    if mark_edges(value, keep, quantum_px, edge):
+    if has_edges(value, keep, quantum_px):
+        edge = np.zeros(keep.shape, dtype=np.uint8)
+        mark_edges(value, keep, quantum_px, edge)
         near = cv2.dilate(edge, np.ones((LARGE_WINDOW_PX, LARGE_WINDOW_PX), dtype=np.uint8))
         write_one_sided(value, keep, near, LARGE_WINDOW_PX // 2, planes, slopes)
     # Where the larger window has too few pixels, or all in one line, the smaller one has as well.
     if sees_steps_enough(planes, slopes, FEWEST_QUANTA * quantum_px):
-        take_smaller(slopes, planes, _planes(value, keep, window_px=WINDOW_PX), FEWEST_QUANTA * quantum_px)
+        take_smaller(slopes, planes, window_planes(value, keep, window_px=WINDOW_PX), FEWEST_QUANTA * quantum_px)
     return slopes
-
-
-def _planes(value: np.ndarray, keep: np.ndarray, *, window_px: int) -> Float64[np.ndarray, "5 rows cols"]:
-    """Return the plane through the kept pixels of each window: slopes by column and by row, height, mean square left, pixels.
-
-    NaN where these are too few or in one line. ``value`` is zero where it is not kept.
-    """
-    planes = np.full((5, *value.shape), np.nan)
-    write_planes(value, keep, window_px // 2, planes)
-    return planes
 
 
 @compiled
@@ -141,63 +130,27 @@ def take_smaller(slopes: np.ndarray, planes: np.ndarray, small: np.ndarray, quan
 
 
 @compiled
-def write_planes(value: np.ndarray, keep: np.ndarray, half: int, planes: np.ndarray) -> None:
-    """Write the plane through the kept pixels of the window about each, as ``_planes`` returns it.
-
-    Sums run along with the window, first down the columns and then along each row. Places in single precision leave double
-    precision room for them, so that what is added and taken away again leaves nothing behind.
-    """
+def has_edges(value: np.ndarray, keep: np.ndarray, quantum: float) -> bool:
+    """Return whether there is an edge anywhere: most tiles have none, and to look without marking takes far less time."""
     rows, cols = value.shape
-    # Of each column: pixels, rows, squares of rows, values, rows times values, squares of values.
-    column = np.zeros((6, cols))
-    window = np.zeros(10)
-    for bottom in range(rows + half):
-        for sign, row in ((1.0, bottom), (-1.0, bottom - 2 * half - 1)):
-            if 0 <= row < rows:
-                for col in range(cols):
-                    if keep[row, col]:
-                        column[0, col] += sign
-                        column[1, col] += sign * row
-                        column[2, col] += sign * row * row
-                        column[3, col] += sign * value[row, col]
-                        column[4, col] += sign * row * value[row, col]
-                        column[5, col] += sign * value[row, col] * value[row, col]
-        if bottom < half:
-            continue
-        window[:] = 0.0
-        for right in range(cols + half):
-            for sign, col in ((1.0, right), (-1.0, right - 2 * half - 1)):
-                if 0 <= col < cols and column[0, col] > 0.0:
-                    for moment in range(6):
-                        window[moment] += sign * column[moment, col]
-                    window[6] += sign * col * column[0, col]
-                    window[7] += sign * col * col * column[0, col]
-                    window[8] += sign * col * column[1, col]
-                    window[9] += sign * col * column[3, col]
-            count, y, yy, v, yv, vv = window[0], window[1], window[2], window[3], window[4], window[5]
-            if right < half or count < FEWEST_NEIGHBOURS:
-                continue
-            # About the mean of the window, and times the number of its pixels: all but those of values are whole numbers.
-            x = window[6]
-            xx, yy, xy = count * window[7] - x * x, count * yy - y * y, count * window[8] - x * y
-            xv, yv, vv = count * window[9] - x * v, count * yv - y * v, count * vv - v * v
-            determinant = xx * yy - xy * xy
-            if determinant > LEAST_DETERMINANT * count * count:
-                by_col = (yy * xv - xy * yv) / determinant
-                by_row = (xx * yv - xy * xv) / determinant
-                row, col = bottom - half, right - half
-                planes[0, row, col] = by_col
-                planes[1, row, col] = by_row
-                planes[2, row, col] = (v + by_col * (count * col - x) + by_row * (count * row - y)) / count
-                planes[3, row, col] = max(vv - by_col * xv - by_row * yv, 0.0) / (count * (count - 3))
-                planes[4, row, col] = count
+    some = False
+    for step in range(1, EDGE_REACH_PX + 1):
+        largest = (step + 1) * quantum
+        for row in range(np.uintp(rows)):
+            for col in range(np.uintp(max(cols - step, 0))):
+                kept = keep[row, col] & keep[row, col + np.uintp(step)]
+                some |= kept & (abs(value[row, col + np.uintp(step)] - value[row, col]) > largest)
+        for row in range(np.uintp(max(rows - step, 0))):
+            for col in range(np.uintp(cols)):
+                kept = keep[row, col] & keep[row + np.uintp(step), col]
+                some |= kept & (abs(value[row + np.uintp(step), col] - value[row, col]) > largest)
+    return some
 
 
 @compiled
-def mark_edges(value: np.ndarray, keep: np.ndarray, quantum: float, edge: np.ndarray) -> bool:
-    """Mark the kept pixels on both sides of every edge; return whether there is one."""
+def mark_edges(value: np.ndarray, keep: np.ndarray, quantum: float, edge: np.ndarray) -> None:
+    """Mark the kept pixels on both sides of every edge."""
     rows, cols = value.shape
-    some = False
     for row in range(rows):
         for col in range(cols):
             if not keep[row, col]:
@@ -207,8 +160,6 @@ def mark_edges(value: np.ndarray, keep: np.ndarray, quantum: float, edge: np.nda
                     kept = r < rows and c < cols and keep[r, c]
                     if kept and abs(value[r, c] - value[row, col]) > (step + 1) * quantum:
                         edge[row, col] = edge[r, c] = 1
-                        some = True
-    return some
 
 
 @compiled

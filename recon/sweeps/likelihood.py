@@ -2,10 +2,8 @@
 
 from dataclasses import dataclass
 
-import cv2
 import numpy as np
 from jaxtyping import Bool, Float32, Float64, Int
-from scipy.special import chdtri
 
 from recon.compiled import compiled
 from recon.memory import give_back_free_memory
@@ -14,8 +12,9 @@ from recon.sweeps.centre_places import centre_shifts
 from recon.sweeps.curve_fits import CurveFits, good_fit, prepared_fits
 from recon.sweeps.curve_samples import SweepCurves
 from recon.sweeps.curve_table import curve_table
-from recon.sweeps.fitted_pixels import keep_second_paths, nothing_fitted
+from recon.sweeps.fitted_pixels import keep_second_paths, laid, nothing_fitted
 from recon.sweeps.map_scatter import scatter_beyond
+from recon.sweeps.misfit import widen_by_misfit
 from recon.sweeps.neighbour_places import told_by_neighbours
 from recon.sweeps.stripe_fit import angular_log_width
 from recon.sweeps.stripe_peak import PeakWindows
@@ -23,13 +22,8 @@ from recon.sweeps.two_paths import rows_seen_twice, unresolved_px
 
 # Fitted and written into the maps at a time: what is made of them is small beside the maps of a large photo.
 PIXELS_AT_ONCE = 1 << 16
-# One good curve in a thousand is taken for a bad one, whose own misfit then widens its sd.
-OWN_MISFIT_CHANCE = 1e-3
 # A curve still this high, as a share of its peak, at an end of its window shows one flank alone: its centre lies anywhere.
 CUT_OFF_LEVEL = 0.5
-SCALE_WINDOW_PX = 11
-BAND_ROWS = 128
-LARGEST_CLEAN_RATIO = 4.0
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -99,13 +93,13 @@ def places_by_likelihood(
     give_back_free_memory()
     usual_misfit, light = fitted.usual_misfit(), fitted.light
     place_px, sd_px, width_px = fitted.place_px, fitted.sd_px, fitted.width_px
-    _widen_by_misfit(sd_px, fitted.misfit, fitted.freedom, pixels)
+    widen_by_misfit(sd_px, fitted.misfit, fitted.freedom, pixels)
     del fitted
     unresolved = np.concatenate(merged)
     alone = ~np.isin(unresolved, second.pixels)
     unresolved = unresolved[alone]
     sd_px.ravel()[unresolved] = np.hypot(sd_px.ravel()[unresolved], np.concatenate(merged_by_px)[alone])
-    width_px = _laid(width_px, pixels, slice(0, len(black)), columns=black.shape[1])
+    width_px = laid(width_px, pixels, slice(0, len(black)), columns=black.shape[1])
     beyond = scatter_beyond(place_px, sd_px, width_px)
     width_px *= np.float32(beyond)
     np.hypot(sd_px, width_px, out=sd_px)
@@ -159,60 +153,3 @@ def write_cut_off(
         before = middle >= half and samples[pixel, 0] - dark > level
         after = middle < photo_count - half and samples[pixel, last] - dark > level
         cut_off[number] = before or after
-
-
-def _laid(
-    values: Float32[np.ndarray, " pixels"], pixels: Int[np.ndarray, " pixels"], band: slice, *, columns: int
-) -> Float32[np.ndarray, "rows cols"]:
-    """Return a band of rows of the photo with the values of the listed pixels in their places, else NaN."""
-    laid = np.full((band.stop - band.start) * columns, np.nan, dtype=np.float32)
-    # Numbers of another type would have all the pixels converted.
-    ends = np.array([band.start * columns, band.stop * columns], dtype=pixels.dtype)
-    first, last = np.searchsorted(pixels, ends)
-    for low in range(first, last, PIXELS_AT_ONCE):
-        rows = slice(low, min(low + PIXELS_AT_ONCE, last))
-        laid[pixels[rows] - band.start * columns] = values[rows]
-    return laid.reshape(-1, columns)
-
-
-def _widen_by_misfit(
-    sd_px: Float32[np.ndarray, "rows cols"],
-    misfit: Float32[np.ndarray, " pixels"],
-    freedom: Float32[np.ndarray, " pixels"],
-    pixels: Int[np.ndarray, " pixels"],
-) -> None:
-    """Widen each sd, in place, where curves are not quite the model's (Birge's ratio): ``misfit`` is chi-square over ``freedom``.
-
-    The ratio of the neighbourhood counts, whose own scatter is small; a pixel's own one does where chance does not explain it.
-    """
-    # The limit over the degrees of freedom is least where these are most: few pixels are worth asking for their own.
-    most = float(np.fmax.reduce(freedom, initial=np.float32(1)))
-    least_limit = np.float32(chdtri(most, OWN_MISFIT_CHANCE) / most)
-    margin = SCALE_WINDOW_PX // 2
-    rows, columns = sd_px.shape
-    for low in range(0, rows, BAND_ROWS):
-        if not np.isfinite(sd_px[low : low + BAND_ROWS]).any():
-            continue
-        above = max(low - margin, 0)
-        band = slice(above, min(low + BAND_ROWS + margin, rows))
-        ratio, free = (_laid(one, pixels, band, columns=columns) for one in (misfit, freedom))
-        good = np.isfinite(sd_px[band])
-        inside = good.astype(np.float32)
-        clean = np.where(good, np.minimum(ratio, np.float32(LARGEST_CLEAN_RATIO)), np.float32(0))
-        total, number = (
-            cv2.boxFilter(
-                one,
-                cv2.CV_32F,
-                (SCALE_WINDOW_PX,) * 2,
-                normalize=False,
-                borderType=cv2.BORDER_CONSTANT,
-            )
-            for one in (clean, inside)
-        )
-        local = np.maximum(total / np.maximum(number, 1), 1)
-        doubtful = np.nonzero(good & (ratio > local * least_limit))
-        own_freedom = free[doubtful].astype(np.float64)
-        limit = local[doubtful] * chdtri(own_freedom, OWN_MISFIT_CHANCE) / own_freedom
-        own = np.where(ratio[doubtful] > limit, ratio[doubtful], 0)
-        local[doubtful] = np.maximum(local[doubtful], own)
-        sd_px[low : low + BAND_ROWS] *= np.sqrt(local[low - above :][:BAND_ROWS])
