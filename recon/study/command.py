@@ -55,7 +55,7 @@ def study_command(
         result = _run(experiment, out, StudySize(size, rounds, seed), console)
         (out / f"{experiment.name}.json").write_text(result.model_dump_json(indent=1) + "\n", encoding="utf-8")
         for table in result.tables:
-            _show(table, console)
+            show_table(table, console)
         page = write_page(out, EXPERIMENTS)
     console.print(f"{page}: curves and tables; {MARKDOWN_NAME} and JSON beside it", markup=False)
 
@@ -105,10 +105,23 @@ def _experiment(name: str, experiments: Sequence[Experiment]) -> Experiment:
     return found
 
 
-def _show(table: StudyTable, console: Console) -> None:
+def show_table(table: StudyTable, console: Console) -> None:
+    """Print a table without breaking words; a terminal that is too narrow for that gets a sentence instead."""
+    rows = [[cell_text(value) for value in row] for row in table.rows]
+    longest = [
+        max(len(word) for text in column for word in [*text.split(), ""])
+        for column in zip(table.headings, *rows, strict=True)
+    ]
+    needed = sum(longest) + 3 * len(longest) + 1  # words are not broken, and borders stand between columns
+    if needed > console.width and console.is_terminal:
+        console.print(
+            f"{table.title}: {len(longest)} columns do not fit in this window; the page shows them", markup=False
+        )
+        return
     shown = Table(title=table.title, caption=table.note or None)
-    for heading in table.headings:
-        shown.add_column(heading, overflow="fold")
-    for row in table.rows:
-        shown.add_row(*(cell_text(value) for value in row))
-    console.print(shown)
+    for heading, width in zip(table.headings, longest, strict=True):
+        shown.add_column(heading, min_width=width)
+    for texts in rows:
+        shown.add_row(*texts)
+    wide_enough = console if needed <= console.width else Console(file=console.file, width=needed)
+    wide_enough.print(shown)
