@@ -114,9 +114,8 @@ def show_table(table: StudyTable, console: Console) -> None:
     ]
     needed = sum(longest) + 3 * len(longest) + 1  # words are not broken, and borders stand between columns
     if needed > console.width and console.is_terminal:
-        console.print(
-            f"{table.title}: {len(longest)} columns do not fit in this window; the page shows them", markup=False
-        )
+        words = f"{table.title}: {len(longest)} columns do not fit in this window; the page shows them"
+        console.print(words, markup=False, highlight=False)
         return
     shown = Table(title=table.title, caption=table.note or None)
     for heading, width in zip(table.headings, longest, strict=True):
