@@ -199,7 +199,8 @@ def _scalar_panel(settings: ScalarMap, values: Float[np.ndarray, "rows cols"], l
 def _normal_panel(
     frame: Float64[np.ndarray, "4 4"], normal: Float64[np.ndarray, "rows cols 3"], longest_px: int
 ) -> Panel:
-    known = np.isfinite(normal).all(axis=-1)
+    # Three maps of the photo, one after the other: over a last axis of three, NumPy goes pixel by pixel.
+    known = np.logical_and.reduce([np.isfinite(normal[..., axis]) for axis in range(3)])
     picture, step = None, 1
     if known.any():
         window = window_around(known, longest_px=longest_px)

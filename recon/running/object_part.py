@@ -10,8 +10,8 @@ from jaxtyping import Bool
 from recon.maps import NAMES, OPTIONAL_NAMES, Maps
 from recon.photo_window import PhotoWindow
 from recon.sessions.manifest import CameraBody, Manifest
-from recon.status import PixelStatus, StatusMap
-from recon.sweeps.correspondence import SweepResult
+from recon.status import PixelStatus, StatusMap, is_one_of
+from recon.sweeps.correspondence import KNOWN, SweepResult
 from recon.sweeps.set_places import combined_status
 
 # So far from the last such pixel nothing that neighbours tell is asked for.
@@ -43,7 +43,7 @@ class ObjectPart:
         status = combined_status(sweeps, manifest.sets).reshape(camera.rows, camera.columns)
         if inside_mask is not None:
             status[~inside_mask & (status != PixelStatus.UNLIT)] = PixelStatus.MASKED_OUT
-        placed = np.flatnonzero(np.isin(status, (PixelStatus.OK, PixelStatus.TWO_PATHS, PixelStatus.HALF_SEEN)))
+        placed = np.flatnonzero(is_one_of(status, KNOWN))
         if len(placed):
             window = PhotoWindow.about(placed, (camera.rows, camera.columns), margin_px=MARGIN_PX)
         else:

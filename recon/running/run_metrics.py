@@ -39,8 +39,8 @@ def metrics_of(
         pixels=maps.status.size,
         lit=sweeps.lit,
         matched=sweeps.matched,
-        entry_points=int(valid.sum()),
-        normals=int((valid & np.isfinite(maps.normal).all(axis=2)).sum()),
+        entry_points=int(np.count_nonzero(valid)),
+        normals=int(np.isfinite(maps.normal[valid]).all(axis=1).sum()),
     )
     return Metrics(
         session=manifest.name,
@@ -56,7 +56,7 @@ def metrics_of(
             unwatched=manifest.method == "liquid" and not scene.comparisons,
         ),
         funnel=funnel,
-        status_counts={one.name: int((maps.status == one).sum()) for one in PixelStatus},
+        status_counts={one.name: int(np.count_nonzero(maps.status == one)) for one in PixelStatus},
         statistics=outcome.statistics,
         parameters=_parameters(settings, sweeps, outcome.gap_ratio),
         warnings=(*scene.warnings, *board.warnings, *outcome.warnings),
@@ -80,7 +80,7 @@ def _two_paths(maps: Maps) -> TwoPathCount | None:
     if maps.path_count is None:
         return None
     two = maps.path_count == 2
-    return TwoPathCount(pixels=int(two.sum()), points=int((two & maps.valid()).sum()))
+    return TwoPathCount(pixels=int(np.count_nonzero(two)), points=int(np.count_nonzero(two & maps.valid())))
 
 
 def _parameters(settings: Settings, sweeps: SweepFindings, ratio: float | None) -> dict[str, object]:

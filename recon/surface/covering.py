@@ -124,7 +124,7 @@ def enclosed(known: Mask, missing: Mask) -> Mask:
     result = missing.copy()
     for axis, flip in product((0, 1), (False, True)):
         seen, other = (np.flip(each, axis) if flip else each for each in (known, ~known & ~missing))
-        number = np.arange(known.shape[axis]).reshape((-1, 1) if axis == 0 else (1, -1))
+        number = np.arange(known.shape[axis], dtype=np.int32).reshape((-1, 1) if axis == 0 else (1, -1))
         last_seen = np.maximum.accumulate(np.where(seen, number, -1), axis=axis)
         last_other = np.maximum.accumulate(np.where(other, number, -1), axis=axis)
         met = last_seen > last_other

@@ -13,7 +13,7 @@ from recon.metrics import PhotoQuality, SampleCurve
 from recon.sessions.manifest import Axis, CaptureSet, StripePattern
 from recon.sessions.photos import saturation_count
 from recon.sessions.session import Session
-from recon.status import PixelStatus
+from recon.status import PixelStatus, is_one_of
 from recon.sweeps.black_level import black_level, middle_of, noise_floor, reach_floor
 from recon.sweeps.curve_reach import curve_half_width
 from recon.sweeps.half_seen import half_seen_of
@@ -28,8 +28,8 @@ if TYPE_CHECKING:
 # Sharp profiles are seen in one or two photos; a broad footprint spreads them over some more.
 NEIGHBOURS_BEYOND_PROFILE = 3
 PIXELS_AT_ONCE = 1 << 15
-# By status: whether a pixel has a place.
-KNOWN = np.isin(np.arange(256), (PixelStatus.OK, PixelStatus.TWO_PATHS, PixelStatus.HALF_SEEN))
+# What a pixel with a place may be.
+KNOWN = (PixelStatus.OK, PixelStatus.TWO_PATHS, PixelStatus.HALF_SEEN)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -56,7 +56,7 @@ class SweepResult:
 
     def known(self) -> Bool[np.ndarray, "rows cols"]:
         """Return the pixels that have a place: those that saw the stripe once, twice, or with less than half of their area."""
-        return KNOWN[self.status]
+        return is_one_of(self.status, KNOWN)
 
 
 def decode_sweep(

@@ -21,8 +21,8 @@ SWEEP_REASONS = (
     PixelStatus.SWEEP_EDGE,
 )
 # Compiled loops know numbers alone.
-OK, UNLIT, HALF_SEEN, PARTLY_LIT = (
-    np.uint8(one) for one in (PixelStatus.OK, PixelStatus.UNLIT, PixelStatus.HALF_SEEN, PixelStatus.PARTLY_LIT)
+OK, UNLIT, TWO_PATHS, HALF_SEEN, PARTLY_LIT = (
+    np.uint8(getattr(PixelStatus, name)) for name in ("OK", "UNLIT", "TWO_PATHS", "HALF_SEEN", "PARTLY_LIT")
 )
 AXES: tuple[Axis, Axis] = ("x", "y")
 # What is made of so many pixels is small beside the maps of a large photo.
@@ -104,7 +104,13 @@ def combined_status(sweeps: SweepResults, sets: Sequence[CaptureSet]) -> UInt8[n
     status = np.empty(every[0].size, dtype=np.uint8)
     for low in range(0, len(status), PIXELS_AT_ONCE):
         part = slice(low, low + PIXELS_AT_ONCE)
-        _combine(np.stack([one[part] for one in every]), rank, status[part])
+        each = np.stack([one[part] for one in every])
+        # Mostly the dark is the larger part of a photo.
+        lit = np.flatnonzero((each != UNLIT).any(axis=0))
+        found = np.empty(len(lit), dtype=np.uint8)
+        _combine(np.take(each, lit, axis=1), rank, found)
+        status[part] = UNLIT
+        status[part][lit] = found
     return status
 
 
@@ -128,11 +134,9 @@ def _combine(every: np.ndarray, rank: np.ndarray, status: np.ndarray) -> None:
 
 def path_count(sweeps: SweepResults) -> UInt8[np.ndarray, "rows cols"]:
     """Return by how many light paths each pixel sees the display, as far as any sweep tells: 0, 1 or 2."""
-    paths = np.full(256, 1, np.uint8)
-    paths[PixelStatus.UNLIT], paths[PixelStatus.TWO_PATHS] = 0, 2
-    count: np.ndarray | None = None
-    for one in sweeps.values():
-        lit = paths[one.status]
-        count = lit if count is None else np.maximum(count, lit, out=count)
-    assert count is not None, "a session has sweeps"
-    return count
+    every = [one.status for one in sweeps.values()]
+    lit, twice = np.zeros(every[0].shape, dtype=bool), np.zeros(every[0].shape, dtype=bool)
+    for status in every:
+        lit |= status != UNLIT
+        twice |= status == TWO_PATHS
+    return lit.view(np.uint8) + twice.view(np.uint8)
