@@ -192,10 +192,12 @@ class World:
             return
         elapsed_s = self.clock.now_s() - flow.started_s
         runs_s = math.inf if self.faults.welded else flow.runs_s
-        turned_ml = flow.rate_ml_per_s * min(elapsed_s, runs_s)
-        self._transfer(flow.direction, self.faults.pump_factor * (turned_ml - self._state.turned_ml))
+        turned_ml, ended = flow.rate_ml_per_s * min(elapsed_s, runs_s), elapsed_s >= runs_s
+        if turned_ml == self._state.turned_ml and elapsed_s > 0 and not ended:
+            return  # asked again at the same moment, as a look at the pump does several times
+        moved = self._moved(flow.direction, self.faults.pump_factor * (turned_ml - self._state.turned_ml))
         self.unrest.liquid_moved(flow.started_s + min(elapsed_s, runs_s))
-        self._state = replace(self._state, turned_ml=turned_ml, flow=None if elapsed_s >= runs_s else flow)
+        self._state = replace(self._state, turned_ml=turned_ml, flow=None if ended else flow, **moved)
 
     def _siphon(self) -> None:
         rate_ml_per_s, since_s = self.faults.siphon_ml_per_s, self._siphoned_s
@@ -205,20 +207,22 @@ class World:
             self._transfer(direction, abs(rate_ml_per_s) * (self._siphoned_s - since_s))
 
     def _transfer(self, direction: FlowDirection, volume_ml: float) -> None:
+        self._state = replace(self._state, **self._moved(direction, volume_ml))
+
+    def _moved(self, direction: FlowDirection, volume_ml: float) -> dict[str, Any]:
+        """Return what the vessels hold after so much has flowed, as far as there is any."""
         state = self._state
         if direction == "fill":
             volume_ml = min(volume_ml, state.reservoir_ml)
             level_ml = state.tank_ml + volume_ml
             over_ml = max(0.0, level_ml - self.tank.free_volume_ml)
-            self._state = replace(
-                state,
-                tank_ml=level_ml - over_ml,
-                reservoir_ml=state.reservoir_ml - volume_ml,
-                overflow_ml=state.overflow_ml + over_ml,
-            )
-        else:
-            volume_ml = min(volume_ml, state.tank_ml)
-            self._state = replace(state, tank_ml=state.tank_ml - volume_ml, reservoir_ml=state.reservoir_ml + volume_ml)
+            return {
+                "tank_ml": level_ml - over_ml,
+                "reservoir_ml": state.reservoir_ml - volume_ml,
+                "overflow_ml": state.overflow_ml + over_ml,
+            }
+        volume_ml = min(volume_ml, state.tank_ml)
+        return {"tank_ml": state.tank_ml - volume_ml, "reservoir_ml": state.reservoir_ml + volume_ml}
 
     # The stage
 
