@@ -1,4 +1,4 @@
-"""A rig small enough to capture within a second: 32 × 32 photos, a display of 32 columns, 8 places a sweep."""
+"""A rig small enough to capture within a second: 32 × 32 photos, a display of 32 columns, 8 places a sweep, a fast pump."""
 
 import sys
 from collections.abc import Callable, Iterator
@@ -19,6 +19,8 @@ from sim_backend.scene import Scene
 from sim_backend.world import World
 
 TINY = SceneOptions(camera_columns=32, display_columns=32, step_px=4.0)
+# The pump is watched four times a second: a tank that is full in 20 s is as good a test as one that takes minutes.
+PUMP_RATE_ML_PER_MIN = 12000.0
 TINY_ARGUMENTS = ("--size", "32", "--display-columns", "32", "--step-px", "4")
 
 
@@ -44,7 +46,11 @@ def thin_scene() -> Scene:
 
 @pytest.fixture(scope="session")
 def config(scene: Scene) -> RigConfig:
-    return config_of_scene(scene, TINY)
+    config = config_of_scene(scene, TINY)
+    assert config.tank is not None
+    return config.model_copy(
+        update={"tank": config.tank.model_copy(update={"pump_rate_ml_per_min": PUMP_RATE_ML_PER_MIN})}
+    )
 
 
 @pytest.fixture(scope="session")

@@ -189,8 +189,8 @@ def test_the_summary_adds_up_by_hand(config: RigConfig) -> None:
     assert (summary.sets, summary.moves, summary.fills, summary.drains, summary.questions) == (4, 3, 1, 1, 0)
     assert config.tank is not None
     assert summary.litres == pytest.approx(2 * config.tank.fill_ml / 1000)
-    # 72 photos of 2.1 s, 2 × 4000 ml at 1200 ml/min, four ways over 30 mm at 5 mm/s, 3 × 2 s and 60 s of rest
-    assert summary.minutes * 60 == pytest.approx(72 * 2.1 + 2 * 200 + 4 * 6 + 3 * 2 + 60)
+    # 72 photos of 2.1 s, 2 × 4000 ml at 12,000 ml/min, four ways over 30 mm at 5 mm/s, 3 × 2 s and 60 s of rest
+    assert summary.minutes * 60 == pytest.approx(72 * 2.1 + 2 * 20 + 4 * 6 + 3 * 2 + 60)
 
 
 def test_a_display_of_2048_by_1536_takes_264_photos_with_a_gray_code_and_the_plan_says_so() -> None:
