@@ -78,12 +78,14 @@ def new_share(
         each = new_share((after_s[:, None] + rows_s).ravel(), latency_s=latency_s, rise_s=rise_s, exposure_s=exposure_s)
         return each.reshape(-1, SPREAD_STEPS).mean(axis=1)
     rise_s = max(rise_s, LEAST_RISE_S)
+    since_s = after_s - latency_s + rise_s / 2
+    return (_light_after(since_s + exposure_s, rise_s) - _light_after(since_s, rise_s)) / exposure_s
 
-    def light_until(time_s: Samples) -> Samples:
-        since = np.maximum(time_s - latency_s + rise_s / 2, 0.0)
-        return np.where(since < rise_s, since**2 / (2 * rise_s), since - rise_s / 2)
 
-    return (light_until(after_s + exposure_s) - light_until(after_s)) / exposure_s
+def _light_after(since_s: Samples, rise_s: float) -> Samples:
+    """Return the light, in seconds of the new frame's, that came until so long after the change began."""
+    since_s = np.maximum(since_s, 0.0)
+    return np.where(since_s < rise_s, since_s**2 / (2 * rise_s), since_s - rise_s / 2)
 
 
 def fit_latency(after_s: Samples, share: Samples, *, exposure_s: float, spread_s: float = 0.0) -> Latency:
