@@ -151,7 +151,8 @@ def test_the_contract_is_asked_of_a_configured_device_where_it_needs_no_world(tm
     with emulating("--speed", "4", "--stage", "zaber", "--camera", "generic") as (_, printed):
         config = write_config(tmp_path, printed)
         command = [sys.executable, "-m", "pytest", "tests/contract", "--hardware", str(config), "-m", "hardware", "-rA"]
-        command += ["-p", "no:cacheprovider"]
+        # The run that this test is a part of checks shapes; here that would only be put into every module again.
+        command += ["-o", "addopts=", "-p", "no:cacheprovider"]
         ran = subprocess.run(
             command,
             cwd=ROOT,
