@@ -14,6 +14,9 @@ from recon.surface.ray_chords import Mask, VectorMap
 WINDOW_PX = 9
 # Share of a window's spread that no direction falls short of: a line of pixels says nothing across itself.
 LINE = 1e-3
+# A cut window's bend is followed out to its pixel by the difference to those about it, so many times at most. Where that would
+# change it by more than a quarter, squared, a crease or noise speaks, and no even change.
+FARTHEST, LARGEST_SQUARE = 2.0, 0.25**2
 # Sums over a window: the count, three of places, three of normals, nine of places by places, nine of normals by places.
 SUMS = 25
 TINY = np.finfo(float).tiny
@@ -24,22 +27,25 @@ Tensors = Float32[np.ndarray, "rows cols 3 3"]
 def curvature_of(point_mm: VectorMap, normal: VectorMap, used: Mask, *, threads: int = 1) -> Tensors:
     """Return K in 1/mm, tangential, so that a step d along the surface turns the normal by K d; 0 outside the mask.
 
-    So many ``threads`` share the rows.
+    A window tells the bend at its middle. That of a pixel at the rim is two pixels farther in, where the surface may bend less by
+    a fifth. So many ``threads`` share the rows.
     """
     result, size = np.zeros((*used.shape, 3, 3), np.float32), np.zeros(used.shape)
+    cut = np.zeros(used.shape, dtype=bool)
     if used.any():
         mean_point = point_mm[used].mean(axis=0)
         point_mm, normal = np.ascontiguousarray(point_mm), np.ascontiguousarray(normal)
         least = 0.0
 
         def write(band: slice) -> None:
-            _curvatures(point_mm, normal, used, mean_point, least, band.start, band.stop, result, size)
+            _curvatures(point_mm, normal, used, mean_point, least, band.start, band.stop, result, size, cut)
 
         over_bands(write, len(used), threads=threads)
         least = LINE * float(np.median(size[used]))
         # A lone pixel spreads over nothing, and shows no bend.
         if (size[used] < least).any():
             over_bands(write, len(used), threads=threads)
+        _follow_to_rim(result.copy(), used, cut, result)
     return result
 
 
@@ -54,10 +60,11 @@ def _curvatures(
     end: int,
     result: np.ndarray,
     size: np.ndarray,
+    cut: np.ndarray,
 ) -> None:
     """Write the curvature of every used pixel of the rows from ``first`` to before ``end``.
 
-    Beside it, over what area its window spreads, which counts as ``least`` at least.
+    Beside it, over what area its window spreads, which counts as ``least`` at least, and whether it is cut.
     """
     rows, cols = used.shape
     reach = WINDOW_PX // 2
@@ -87,7 +94,62 @@ def _curvatures(
                         spread[k, j] = total[7 + 3 * k + j, col] - total[1 + k, col] * total[1 + j, col] / count
                         shared[k, j] = total[16 + 3 * k + j, col] - total[4 + k, col] * total[1 + j, col] / count
                 _write_tangents(total[4, col], total[5, col], total[6, col], tangents)
+                cut[row, col] = count < WINDOW_PX**2
                 size[row, col] = _write_bend(spread, shared, tangents, count, least, result[row, col])
+
+
+@compiled
+def _follow_to_rim(told: np.ndarray, used: np.ndarray, cut: np.ndarray, bend: np.ndarray) -> None:
+    """Write the bend at each pixel whose window is ``cut``, from what its window and those about it ``told`` of their middles.
+
+    With a bend that changes evenly from the pixel inwards, K = K_w + (K_w − M) |m − x| / |m' − m|, where m is the middle of the
+    pixel's own window, and m' and M the means of the middles and of the bends of the windows about x.
+    """
+    rows, cols = used.shape
+    reach = WINDOW_PX // 2
+    middle = np.empty((rows, cols, 2), np.float32)
+    for row in range(rows):
+        for col in range(cols):
+            middle[row, col, 0], middle[row, col, 1] = row, col
+            if not cut[row, col]:
+                continue
+            count, down, right = 0, 0, 0
+            for i in range(max(row - reach, 0), min(row + reach + 1, rows)):
+                for j in range(max(col - reach, 0), min(col + reach + 1, cols)):
+                    if used[i, j]:
+                        count, down, right = count + 1, down + i, right + j
+            middle[row, col, 0], middle[row, col, 1] = down / count, right / count
+    mean = np.empty((3, 3))
+    for row in range(rows):
+        for col in range(cols):
+            if not cut[row, col]:
+                continue
+            inward, aside = middle[row, col, 0] - row, middle[row, col, 1] - col
+            count, farther = 0, 0.0
+            mean[:] = 0.0
+            for i in range(max(row - reach, 0), min(row + reach + 1, rows)):
+                for j in range(max(col - reach, 0), min(col + reach + 1, cols)):
+                    if used[i, j]:
+                        count += 1
+                        farther += (middle[i, j, 0] - middle[row, col, 0]) * inward
+                        farther += (middle[i, j, 1] - middle[row, col, 1]) * aside
+                        for a in range(3):
+                            for b in range(3):
+                                mean[a, b] += told[i, j, a, b]
+            squared = inward**2 + aside**2
+            # Where the windows about it lie no farther in, nothing is followed.
+            factor = min(squared * count / farther, FARTHEST) if farther > 0 else 0.0
+            own_squared, change_squared = 0.0, 0.0
+            for a in range(3):
+                for b in range(3):
+                    mean[a, b] = factor * (told[row, col, a, b] - mean[a, b] / count)
+                    own_squared += told[row, col, a, b] ** 2
+                    change_squared += mean[a, b] ** 2
+            if change_squared > LARGEST_SQUARE * own_squared:
+                continue
+            for a in range(3):
+                for b in range(3):
+                    bend[row, col, a, b] += mean[a, b]
 
 
 @compiled

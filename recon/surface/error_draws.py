@@ -9,7 +9,7 @@ from concurrent.futures import ThreadPoolExecutor
 
 import cv2
 import numpy as np
-from jaxtyping import Float, Float32, Float64
+from jaxtyping import Float, Float16, Float32, Float64
 
 from recon.compiled import compiled
 from recon.memory import give_back_free_memory
@@ -30,9 +30,9 @@ TURN_WINDOW_PX = 17
 
 SomePixels = Float32[np.ndarray, " pixels"]
 SomeVectors = Float32[np.ndarray, "pixels 3"]
-# Draws one error of every used pixel's distance and of its normal from the noise of its measurement, and by how much its path
-# slides along the surface.
-NoiseDraw = Callable[[np.random.Generator], tuple[SomePixels, SomeVectors, SomeVectors]]
+# Draws one error of every used pixel's distance and of its normal from the noise of its measurement, by how much its path
+# slides along the surface, and the normal's error as that of the place where the pixel looks.
+NoiseDraw = Callable[[np.random.Generator], tuple[SomePixels, SomeVectors, SomeVectors, SomeVectors]]
 # Prepares such draws for a surface at the distances given, and the used pixels.
 NoiseAt = Callable[[ScalarMap, Mask], NoiseDraw]
 
@@ -48,11 +48,16 @@ def drawn_errors(
     weights: tuple[PerPair, PerPixel],
     scales: tuple[float, float],
     threads: int,
-) -> tuple[Float32[np.ndarray, "draws rows cols"], Float32[np.ndarray, "2 draws rows cols"], PerPixel]:
+) -> tuple[
+    Float32[np.ndarray, "draws rows cols"],
+    Float32[np.ndarray, "2 draws rows cols"],
+    Float16[np.ndarray, "3 draws rows cols"],
+    PerPixel,
+]:
     """Return what draws of noise do to the distances, through the very equations that were solved.
 
-    Beside that, how far the paths slide in these draws ``across`` the sight, and the mean square of the normals' errors that
-    were drawn.
+    Beside that, how far the paths slide in these draws ``across`` the sight, by how much the pixels' own normals turn, and the
+    mean square of the errors of normals that were drawn for the equations.
 
     Parameters
     ----------
@@ -71,6 +76,8 @@ def drawn_errors(
     rng = np.random.default_rng(DRAW_SEED)
     places = np.flatnonzero(graph.mask)
     slides = np.zeros((2, DRAWS, *graph.mask.shape), np.float32)
+    # Half precision tells an angle to a thousandth, and memory is what a large surface lacks here.
+    own_turns = np.zeros((3, DRAWS, *graph.mask.shape), np.float16)
     turned_squared, own = np.zeros(len(places)), np.empty(len(places))
     turned = np.empty((2, len(graph.first)), np.float32)
     errors = np.full((DRAWS, *graph.mask.shape), np.nan, np.float32)
@@ -89,9 +96,11 @@ def drawn_errors(
         for first in range(0, DRAWS, COLUMNS):
             right = np.empty((len(places), COLUMNS), np.float32)
             for column in range(COLUMNS):
-                distance_error, normal_error, slide = next(drawn)
+                distance_error, normal_error, slide, own_turn = next(drawn)
                 for axis in (0, 1):
                     slides[axis, first + column].reshape(-1)[places] = slide @ across[axis].astype(np.float32)
+                for axis in range(3):
+                    own_turns[axis, first + column].reshape(-1)[places] = np.float32(scales[1]) * own_turn[:, axis]
                 _write_right_side(
                     *(graph.first, graph.second, bend.before, bend.after),
                     *(chords.chord_mm, pulls.at_first, pulls.at_second, bend.per_squared, bend.factor),
@@ -106,12 +115,12 @@ def drawn_errors(
                 jobs[-1].result()
     for job in jobs:
         job.result()
-    return errors, slides, turned_squared / DRAWS
+    return errors, slides, own_turns, turned_squared / DRAWS
 
 
 def _drawn(
     noise: NoiseDraw, rng: np.random.Generator, *, threads: int
-) -> Iterator[tuple[SomePixels, SomeVectors, SomeVectors]]:
+) -> Iterator[tuple[SomePixels, SomeVectors, SomeVectors, SomeVectors]]:
     """Yield the draws one after the other; with several threads, the next is made while one is used."""
     if threads == 1:
         yield from (noise(rng) for _ in range(DRAWS))
@@ -176,11 +185,12 @@ def independent_noise(rays: Rays) -> NoiseDraw:
     count = len(rays.precision)
     sd = np.sqrt(np.divide(1.0, rays.precision, out=np.zeros(count), where=rays.precision > 0))
 
-    def draw(rng: np.random.Generator) -> tuple[SomePixels, SomeVectors, SomeVectors]:
+    def draw(rng: np.random.Generator) -> tuple[SomePixels, SomeVectors, SomeVectors, SomeVectors]:
         tilt = np.sqrt(rays.tilt_variance)[:, None] * rng.standard_normal(rays.normal.shape)
         tilt -= (tilt * rays.normal).sum(axis=1, keepdims=True) * rays.normal
         distance_error = (sd * rng.standard_normal(count)).astype(np.float32)
-        return distance_error, tilt.astype(np.float32), np.zeros((count, 3), np.float32)
+        turn = tilt.astype(np.float32)
+        return distance_error, turn, np.zeros((count, 3), np.float32), turn
 
     return draw
 

@@ -11,7 +11,7 @@ from dataclasses import dataclass
 from functools import partial
 
 import numpy as np
-from jaxtyping import Float32, Float64
+from jaxtyping import Float16, Float32, Float64
 
 from recon.memory import give_back_free_memory
 from recon.surface.error_draws import (
@@ -39,7 +39,8 @@ class FusedSurface:
     tell how many times larger the residuals are than the standard deviations promised (never below 1). ``distance_error_mm``
     holds draws of the error of ``distance_mm``: what independent draws of all measurements' noise do to it. Their mean square is
     the variance. ``slide_mm`` tells how far each path then meets the surface from where it should, along the first two axes of
-    ``sight_frame``, whose third is the mean line of sight; ``turn_sd_rad`` how large the errors of normals were that went in.
+    ``sight_frame``, whose third is the mean line of sight; ``own_turn_rad`` by how much each pixel's measured normal is then
+    off that of the place where the pixel looks; ``turn_sd_rad`` how large the errors of normals were that went in.
     """
 
     distance_mm: ScalarMap
@@ -47,6 +48,7 @@ class FusedSurface:
     distance_error_mm: Float32[np.ndarray, "draws rows cols"]
     slide_mm: Float32[np.ndarray, "2 draws rows cols"]
     sight_frame: Float64[np.ndarray, "3 3"]
+    own_turn_rad: Float16[np.ndarray, "3 draws rows cols"]
     turn_sd_rad: ScalarMap
     point_mm: VectorMap
     position_weight: ScalarMap
@@ -108,7 +110,7 @@ def fuse_on_rays(
     give_back_free_memory()
     turn = np.full(used.shape, np.nan)
     if graph.pixels:
-        errors, slides, turned_squared = drawn_errors(
+        errors, slides, own_turns, turned_squared = drawn_errors(
             graph,
             solved.chords,
             solved.pulls,
@@ -121,9 +123,10 @@ def fuse_on_rays(
         )
         turn[used] = np.sqrt(turned_squared)
     else:
-        errors, slides = (
+        errors, slides, own_turns = (
             np.full((DRAWS, *used.shape), np.nan, np.float32),
             np.zeros((2, DRAWS, *used.shape), np.float32),
+            np.zeros((3, DRAWS, *used.shape), np.float16),
         )
     outlier = np.zeros(used.shape, dtype=bool)
     outlier[used] = solved.outlier
@@ -133,6 +136,7 @@ def fuse_on_rays(
         distance_error_mm=errors,
         slide_mm=slides,
         sight_frame=solved.sight_frame,
+        own_turn_rad=own_turns,
         turn_sd_rad=standard_deviation(turn[None], used, window_px=TURN_WINDOW_PX),
         point_mm=point,
         position_weight=graph.on_grid(solved.position_weight),

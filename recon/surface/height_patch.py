@@ -11,7 +11,7 @@ from scipy.stats import chi2
 from recon.surface.error_draws import standard_deviation
 from recon.surface.lateral_places import LateralPlaces
 from recon.surface.noise_reference import NoiseReference
-from recon.surface.patch_loops import mean_tilt_squared
+from recon.surface.patch_loops import add_moves, mean_tilt_squared
 from recon.surface.ray_chords import Mask, ScalarMap, VectorMap
 from recon.surface.window_bias import ClearSlopes, Slopes, bias_left, without_bias
 from recon.surface.window_quadratic import Lines, WindowFit
@@ -91,6 +91,7 @@ def patch_of(
     before: ClearSlopes,
     trust: ScalarMap,
     noise: NoiseReference,
+    straight_px: ScalarMap,
     *,
     half_width: int,
     smaller: int,
@@ -101,7 +102,7 @@ def patch_of(
     their difference, which counts by its ``trust`` (0 to 1), is the bias of this one: a window across a crease says nothing of
     others. The tilt of a window and the turn by its lateral place come from the same paths: a path that is off by noise sees the
     normal of another place, and looking for the normal at the place that it tells puts much of that right. So ``noise`` is told
-    of draws of both together.
+    of draws of both together. ``straight_px`` is how far each pixel is from the rim.
     """
     sight, slopes = place.lines.sight, np.stack([fit.slope_p, fit.slope_q])
     point = place.lines.start + fit.along[..., None] * sight
@@ -110,9 +111,6 @@ def patch_of(
     normal = -slopes / length
     facing = normal[0] * sight[0] + normal[1] * sight[1] + sight[2] / length
     facing = np.where(np.abs(facing) > 1e-3, facing, 1e-3)
-    now = Slopes(slopes, fit.drawn[1:], fit.variance[1] + fit.variance[2])
-    sizes = {"half_width": half_width, "smaller": smaller}
-    clear, left, left_drawn = without_bias(now, before, trust, noise.depth_px, noise.within, **sizes)
     rate = np.empty((2, 2, *mask.shape), np.float32)
     slide_variance = np.zeros(mask.shape)
     for axis, variance, slope_rate in zip(place.across, place.variance, rate, strict=True):
@@ -123,10 +121,13 @@ def patch_of(
         _, _, _, pp, pq, qq = fit.coefficients
         slope_rate[0] = 2 * pp * move[0] + pq * move[1]
         slope_rate[1] = pq * move[0] + 2 * qq * move[1]
+    now = Slopes(slopes, _moved(fit.drawn[1:], rate, place.error), fit.variance[1] + fit.variance[2])
+    sizes = {"half_width": half_width, "smaller": smaller}
+    clear, left, left_drawn = without_bias(now, before, trust, noise.depth_px, straight_px, noise.within, **sizes)
     # Smaller windows are not used, and their noise is not that of the others.
     enough = mask & (fit.count >= FEWEST_PLACES)
     noise_squared = noise.smoothed(
-        _mean_tilt_squared(clear.drawn, normal, length, rate, place.error), now.variance, enough, half_width=half_width
+        _mean_tilt_squared(clear.drawn, normal, length), now.variance, enough, half_width=half_width
     )
     bias_squared = bias_left(
         _mean_tilt_squared(left[:, None], normal, length),
@@ -154,18 +155,25 @@ def _unit(p: ScalarMap, q: ScalarMap) -> VectorMap:
     return np.stack([p / length, q / length, 1 / length], axis=-1)
 
 
+def _moved(
+    slopes: Float32[np.ndarray, "2 draws rows cols"],
+    rate: Float32[np.ndarray, "axes 2 rows cols"],
+    error: Float32[np.ndarray, "axes draws rows cols"],
+) -> Float32[np.ndarray, "2 draws rows cols"]:
+    """Return draws' slopes where the ``error`` of their lateral place lets the pixel look; they change at a ``rate`` per axis."""
+    result = np.empty_like(slopes)
+    add_moves(slopes, rate, error, result)
+    return result
+
+
 def _mean_tilt_squared(
     slopes: Float[np.ndarray, "2 draws rows cols"],
     normal: Float64[np.ndarray, "2 rows cols"],
     length: ScalarMap,
-    rate: Float32[np.ndarray, "axes 2 rows cols"] | None = None,
-    error: Float32[np.ndarray, "axes draws rows cols"] | None = None,
 ) -> ScalarMap:
-    """Return :func:`mean_tilt_squared` of changes of the slopes, and of those by errors of the lateral place, if given."""
-    if rate is None or error is None:
-        rate = error = np.empty((0, 0, *length.shape), np.float32)
+    """Return :func:`mean_tilt_squared` of changes of the slopes."""
     result = np.empty_like(length)
-    mean_tilt_squared(slopes, rate, error, normal, length, result)
+    mean_tilt_squared(slopes, normal, length, result)
     return result
 
 

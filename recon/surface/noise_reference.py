@@ -79,6 +79,11 @@ def steadied(told: Mapping[tuple[int, int], Shares]) -> dict[tuple[int, int], Fl
     return result
 
 
+def straight_depth_of(mask: Mask) -> ScalarMap:
+    """Return how far a pixel is from the next one out of the surface, in pixels; the photo's edge is no way out."""
+    return np.asarray(cv2.distanceTransform(mask.astype(np.uint8), cv2.DIST_L2, cv2.DIST_MASK_PRECISE), np.float64)
+
+
 def depth_of(mask: Mask) -> ScalarMap:
     """Return how many steps, also diagonal ones, lead from a pixel out of the surface; the photo's edge is no way out."""
     return np.asarray(cv2.distanceTransform(mask.astype(np.uint8), cv2.DIST_C, 3), np.float64)

@@ -6,23 +6,35 @@ from recon.compiled import compiled
 
 
 @compiled
+def add_moves(slopes: np.ndarray, rate: np.ndarray, error: np.ndarray, result: np.ndarray) -> None:
+    """Write ``slopes`` [2, draws, rows, cols] and what moves add to them: ``rate`` [axes, 2, rows, cols] times ``error``.
+
+    The latter [axes, draws, rows, cols] are those of the lateral place.
+    """
+    draws, rows, cols = slopes.shape[1:]
+    for along in range(2):
+        for draw in range(draws):
+            for row in range(rows):
+                for col in range(cols):
+                    change = rate[0, along, row, col] * error[0, draw, row, col]
+                    change += rate[1, along, row, col] * error[1, draw, row, col]
+                    result[along, draw, row, col] = slopes[along, draw, row, col] + change
+
+
+@compiled
 def mean_tilt_squared(
     slopes: np.ndarray,
-    rate: np.ndarray,
-    error: np.ndarray,
     normal: np.ndarray,
     length: np.ndarray,
     result: np.ndarray,
 ) -> None:
-    """Write the mean square of the angles by which changes of the slopes turn the normal; 0 without any.
+    """Write the mean square of the angles by which changes ``slopes`` [2, draws, rows, cols] turn the normal; 0 without any.
 
-    To the changes ``slopes`` [2, draws, rows, cols] those come that the lateral places make: ``rate`` [axes, 2, rows, cols] times
-    their ``error`` [axes, draws, rows, cols]. Of the ``normal`` the parts along both axes are given, and the ``length`` that its
-    slopes were divided by. Windows that tell hardly anything have slopes beyond all numbers; NaN says that they are no good.
+    Of the ``normal`` the parts along both axes are given, and the ``length`` that its slopes were divided by. Windows that tell
+    hardly anything have slopes beyond all numbers; NaN says that they are no good.
     """
     rows, cols = length.shape
     draws = slopes.shape[1]
-    one, other = np.empty(cols, slopes.dtype), np.empty(cols, slopes.dtype)
     n_p, n_q = np.empty(cols, slopes.dtype), np.empty(cols, slopes.dtype)
     squares, along = np.empty(cols, slopes.dtype), np.empty(cols, slopes.dtype)
     for row in range(rows):
@@ -31,14 +43,9 @@ def mean_tilt_squared(
             squares[col], along[col] = 0.0, 0.0
         for draw in range(draws):
             for col in range(cols):
-                one[col], other[col] = slopes[0, draw, row, col], slopes[1, draw, row, col]
-            for axis in range(len(rate)):
-                for col in range(cols):
-                    one[col] += rate[axis, 0, row, col] * error[axis, draw, row, col]
-                    other[col] += rate[axis, 1, row, col] * error[axis, draw, row, col]
-            for col in range(cols):
-                share = one[col] * n_p[col] + other[col] * n_q[col]
-                squares[col] += one[col] * one[col] + other[col] * other[col]
+                one, other = slopes[0, draw, row, col], slopes[1, draw, row, col]
+                share = one * n_p[col] + other * n_q[col]
+                squares[col] += one * one + other * other
                 along[col] += share * share
         for col in range(cols):
             left = np.float64(squares[col] - along[col])

@@ -108,7 +108,7 @@ class PathMeasurement:
         along_air, curvature = self.crossing.along_air(along), self._curvature(along)
         self.told.clear()
 
-        def draw(rng: np.random.Generator) -> tuple[SomePixels, SomeVectors, SomeVectors]:
+        def draw(rng: np.random.Generator) -> tuple[SomePixels, SomeVectors, SomeVectors, SomeVectors]:
             return self.paths.draw(
                 rng,
                 rows,

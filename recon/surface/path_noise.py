@@ -33,11 +33,12 @@ class PathNoise:
         mean_cross: Vectors,
         facing: PerPath,
         curvature: Float32[np.ndarray, "pixels 3 3"],
-    ) -> tuple[Float32[np.ndarray, " some"], SmallVectors, SmallVectors]:
-        """Draw errors of the distance along the liquid path and of the normal, and how far that path slides along the surface.
+    ) -> tuple[Float32[np.ndarray, " some"], SmallVectors, SmallVectors, SmallVectors]:
+        """Draw errors of the distance along the liquid path and of the normal, how far that path slides, and its own turn.
 
-        The last is where a path meets the surface with the noise less where it does without. All follow from the same eight
-        numbers a pixel, and are told for some ``rows`` of them.
+        Along the surface it slides from where it meets it without the noise to where it does with it. The error of the normal is
+        that as the normal of the latter place, its own turn that as the normal of the former, where the pixel looks. All follow
+        from the same eight numbers a pixel, and are told for some ``rows`` of them.
 
         Parameters
         ----------
@@ -50,7 +51,7 @@ class PathNoise:
             the path meets.
         """
         distance_error = np.empty(len(rows), np.float32)
-        normal_error, slide = (np.empty((len(rows), 3), np.float32) for _ in range(2))
+        normal_error, slide, own_turn = (np.empty((len(rows), 3), np.float32) for _ in range(3))
         noises = [noise for paths in (self.liquid, self.air) for noise in (paths.near_noise, paths.far_noise)]
         near_liquid, far_liquid, near_air, far_air = (rng.standard_normal(noise.sd_mm.shape) for noise in noises)
         for noise, drawn in zip(noises, (near_liquid, far_liquid, near_air, far_air), strict=True):
@@ -77,8 +78,9 @@ class PathNoise:
             distance_error,
             normal_error,
             slide,
+            own_turn,
         )
-        return distance_error, normal_error, slide
+        return distance_error, normal_error, slide, own_turn
 
 
 @compiled
@@ -104,6 +106,7 @@ def _write_errors(
     distance_error: np.ndarray,
     normal_error: np.ndarray,
     slide: np.ndarray,
+    own_turn: np.ndarray,
 ) -> None:
     """Write what shifts of the four display points, along the axes of their displays, do to each of some pixels."""
     shift_liquid, turn_liquid, shift_air, turn_air = np.empty(3), np.empty(3), np.empty(3), np.empty(3)
@@ -156,6 +159,7 @@ def _write_errors(
         distance_error[number] = -along / squared
         for k in range(3):
             slide[number, k] = turn_liquid[k]
+            own_turn[number, k] = change[k]
             bent = 0.0
             for j in range(3):
                 bent += curvature[row, k, j] * turn_liquid[j]

@@ -16,7 +16,7 @@ from jaxtyping import Float32, Float64, UInt8
 from recon.surface.fusion import FusedSurface
 from recon.surface.height_patch import Patch, Sight, against_own_normals, beyond_noise, patch_of, within_noise
 from recon.surface.lateral_places import LateralPlaces, along_surface, frame_along, lateral_places
-from recon.surface.noise_reference import NoiseReference, Shares, depth_class, depth_of, steadied
+from recon.surface.noise_reference import NoiseReference, Shares, depth_class, depth_of, steadied, straight_depth_of
 from recon.surface.patch_loops import take_over
 from recon.surface.ray_chords import Mask, ScalarMap, VectorMap
 from recon.surface.tiles import TILE_PX, Part, inside, tiles
@@ -77,12 +77,14 @@ def refine_surface(
         return result
     lateral = lateral_places(fused.point_mm, shift, used, fused.slide_mm, fused.sight_frame, threads=threads)
     del shift
-    depth_px = depth_of(used)
+    depth_px, straight_px = depth_of(used), straight_depth_of(used)
 
     left_rad2 = np.zeros(used.shape, np.float32)
 
     def refine(tile: tuple[Part, Part]) -> Shares | None:
-        return _refine_tile(result, left_rad2, fused, direction, normal, normal_sd_rad, lateral, used, depth_px, *tile)
+        return _refine_tile(
+            result, left_rad2, fused, direction, normal, normal_sd_rad, lateral, used, depth_px, straight_px, *tile
+        )
 
     parts = list(tiles(used, border=WIDEST_HALF_WIDTH_PX))
     with ThreadPoolExecutor(threads) as pool:
@@ -141,6 +143,7 @@ def _refine_tile(
     lateral: LateralPlaces,
     used: Mask,
     depth_px: ScalarMap,
+    straight_px: ScalarMap,
     core: tuple[slice, slice],
     wide: tuple[slice, slice],
 ) -> Shares | None:
@@ -170,14 +173,17 @@ def _refine_tile(
     noise = NoiseReference(np.where(fit_here, fused.turn_sd_rad[wide], 1.0), depth_px[wide], within)
     held, trust = fit_here.copy(), weight
     tilted = normal[wide] @ frame.T
-    before = own_slopes(tilted, fit_here)
+    own_turn = np.tensordot(frame.astype(np.float32), fused.own_turn_rad[(..., *wide)].astype(np.float32), axes=1)
+    before = own_slopes(tilted, own_turn, fit_here)
     p, q, height = np.moveaxis(local, -1, 0)
     fits = fit_windows(p, q, height, errors, weight, place.lines, half_widths=HALF_WIDTHS_PX, readings=3)
     for (smaller, half_width), fit in zip(pairwise((0, *HALF_WIDTHS_PX)), fits, strict=True):
         beyond = beyond_noise(fit, fit_here)
         held &= within_noise(beyond)
         trust = np.minimum(trust, np.nan_to_num(np.maximum(beyond, 1.0) ** -2.0))
-        patch, before = patch_of(fit, place, fit_here, before, trust, noise, half_width=half_width, smaller=smaller)
+        patch, before = patch_of(
+            fit, place, fit_here, before, trust, noise, straight_px[wide], half_width=half_width, smaller=smaller
+        )
         held &= ~against_own_normals(patch.normal, tilted, normal_sd_rad[wide] * fused.normal_scale)
         _take_over(result, left_rad2, patch, held, core, wide, half_width, place)
     return np.stack(noise.told)

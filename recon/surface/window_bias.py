@@ -1,6 +1,7 @@
 """The bias of a window's slopes, which a quadratic polynomial leaves where the surface bends more than that, taken off."""
 
 from dataclasses import dataclass
+from itertools import pairwise
 
 import numpy as np
 from jaxtyping import Float, Float32, Float64
@@ -10,14 +11,16 @@ from recon.surface.window_means import replace_by_means, weighted_means
 
 # The bias is taken from this many pixels across.
 BIAS_WINDOW_PX = 9
-# From the measured normals it is taken nearer by: beside a crease it is not that of pixels farther away.
-OWN_WINDOW_PX = 5
 # Along a rim it changes more slowly than across it.
 RIM_WINDOW_PX = 17
+# How it changes with the distance from the rim is told by the rings over so many pixels, if they are no less apart than this.
+SLOPE_WINDOW_PX, LEAST_SPREAD_PX2 = 5, 0.1
 # What is left of it is told as a mean square over so many pixels across, several of which are independent.
 LEFT_WINDOW_PX = 33
 # So many draws tell the noise in it over as many pixels.
 LEFT_DRAWS = 4
+# It falls with the depth inside the surface, quickly near the rim: from one of these depths to the next it is alike.
+LEFT_DEPTHS_PX = (*range(1, 11), 12, 14, 17, 21, 26, 33, np.inf)
 # Windows cut at a rim, or by the tile, tell of the bias only where no whole one is near.
 CUT_WEIGHT = 1e-3
 
@@ -26,7 +29,7 @@ CUT_WEIGHT = 1e-3
 class Slopes:
     """Slopes along both axes of a tile, and those of the draws of their heights' errors.
 
-    ``variance`` is that of a slope for heights of variance one; 0 for the measured normals, of which there are no draws.
+    ``variance`` is that of a slope for heights of variance one; 0 for those of the measured normals.
     """
 
     slope: Float64[np.ndarray, "2 rows cols"]
@@ -43,11 +46,13 @@ class ClearSlopes:
     left_squared: ScalarMap
 
 
-def own_slopes(normal: VectorMap, mask: Mask) -> ClearSlopes:
-    """Return the slopes that the measured normals tell, which have no bias."""
+def own_slopes(normal: VectorMap, turn: Float32[np.ndarray, "3 draws rows cols"], mask: Mask) -> ClearSlopes:
+    """Return the slopes that the measured normals tell, which have no bias, and those of draws of their ``turn`` by noise."""
     up = np.where(mask, normal[..., 2], 1.0)
     slope = np.stack([np.where(mask, -normal[..., axis] / up, 0.0) for axis in (0, 1)])
-    own = Slopes(slope, np.empty((2, 0, *mask.shape), np.float32), np.zeros(mask.shape))
+    # Of n_p / n_up the differential.
+    drawn = -(turn[:2] + slope[:, None].astype(np.float32) * turn[2]) / up.astype(np.float32)
+    own = Slopes(slope, drawn, np.zeros(mask.shape))
     return ClearSlopes(own, own, np.zeros(mask.shape))
 
 
@@ -65,6 +70,7 @@ def without_bias(
     before: ClearSlopes,
     trust: ScalarMap,
     depth_px: ScalarMap,
+    straight_px: ScalarMap,
     within: Mask,
     *,
     half_width: int,
@@ -73,11 +79,13 @@ def without_bias(
     """Return the slopes of a window without its bias, the bias that may be left, and some draws of the noise in that.
 
     The bias is ``whole_bias`` times the mean, over the pixels about each, of what the window differs by from the next smaller one
-    (``before``), which counts by its ``trust``. What the smaller one does to draws is known, so that they lose the same. From
-    measured normals it is not: then nothing is taken off, and all of it is left. Otherwise, left is what that mean itself smooths
-    away.
+    (``before``), which counts by its ``trust``. What the smaller one does to draws is known, so that they lose the same. Left is
+    what that mean itself smooths away. The smallest window is held against the measured normals: then the difference is all of
+    its bias, and no law is needed.
 
     Within a window's reach of the rim the bias changes from pixel to pixel, so that those as deep (``depth_px``) tell each other.
+    Where whole windows are so, they are not all as far from it in a straight line (``straight_px``): what that adds is taken off
+    too, and left as well, since it is told by rings a pixel apart.
     The law holds for whole windows only. A cut one is held against the smaller one where that is whole and clear of its own bias.
     Where that is cut, too, the law's bias is as large, but may have the other sign: all of it is left.
     Pixels that are not ``within`` the tile hardly tell: the tile cuts their windows.
@@ -86,13 +94,12 @@ def without_bias(
     weight = trust / (now.variance + before.fitted.variance)
     factor = whole_bias(half_width, smaller)
     change = factor * (now.slope - before.fitted.slope)
-    if before.fitted.drawn.shape[1] < now.drawn.shape[1]:
-        return now, weighted_means(change, weight, window_px=OWN_WINDOW_PX), now.drawn[:, :0]
     weight = np.where(within, weight, CUT_WEIGHT * weight)
     ring = {"half_width": half_width, "smaller": smaller}
     law = _by_depth(change, weight, depth_px, half_width=half_width)
     law_drawn = np.float32(factor) * (now.drawn - before.fitted.drawn)
     law_drawn = _by_depth(law_drawn, weight, depth_px, half_width=half_width)
+    law = _within_rings(law, weight, depth_px, straight_px, half_width=half_width)
     bias = _bias(law, now.slope - before.clear.slope, weight, depth_px, **ring)
     drawn = _bias(law_drawn, now.drawn - before.clear.drawn, weight, depth_px, **ring)
     some = np.s_[:, :LEFT_DRAWS]
@@ -120,9 +127,8 @@ def bias_left(
     own = square - noise_square
     # Where no neighbour tells, nothing is known of the noise.
     result, alone = square.copy(), told.astype(np.float64)
-    deepest = half_width + BIAS_WINDOW_PX // 2 + 1
-    for depth in range(1, deepest + 1):
-        there = (depth_px == depth) if depth < deepest else (depth_px >= depth)
+    for first, last in pairwise(LEFT_DEPTHS_PX):
+        there = (depth_px >= first) & (depth_px < last)
         alike = np.where(there, alone, 0.0)
         replace_by_means(own, alike, there & told, result, window_px=LEFT_WINDOW_PX)
     against = (depth_px > smaller) & (depth_px <= half_width) & (smaller > 0)
@@ -176,12 +182,39 @@ def _by_depth(
     return result
 
 
+def _within_rings(
+    law: Float64[np.ndarray, "2 rows cols"],
+    weight: ScalarMap,
+    depth_px: ScalarMap,
+    straight_px: ScalarMap,
+    *,
+    half_width: int,
+) -> Float64[np.ndarray, "2 rows cols"]:
+    """Return the law's means over rings of whole windows as they are at each pixel's own distance from the rim.
+
+    Pixels that are as deep are not as far from a rim that runs aslant: they are up to a pixel apart. How the bias changes with
+    that distance follows from the rings about each.
+    """
+    first, last = half_width + 1, half_width + BIAS_WINDOW_PX // 2
+    there = (depth_px >= first) & (depth_px <= last)
+    if not there.any():
+        return law
+    mean = straight_px.copy()
+    _replace_by_those_alike(straight_px[None], weight, depth_px, range(first, last + 1), mean[None])
+    about = ((depth_px >= first) & (depth_px <= last + SLOPE_WINDOW_PX // 2)).astype(np.float64)
+    fields = np.concatenate([mean[None], mean[None] ** 2, law, law * mean])
+    far, far_squared, *told = weighted_means(fields, about, window_px=SLOPE_WINDOW_PX)
+    spread, shared = far_squared - far**2, np.stack(told[2:]) - np.stack(told[:2]) * far
+    slope = np.where(spread > LEAST_SPREAD_PX2, shared / np.maximum(spread, LEAST_SPREAD_PX2), 0.0)
+    return np.where(there, law + slope * (straight_px - mean), law)
+
+
 def _replace_by_those_alike(
-    slopes: Float[np.ndarray, "2 *draws rows cols"],
+    slopes: Float[np.ndarray, "*draws rows cols"],
     weight: ScalarMap,
     depth_px: ScalarMap,
     depths: range,
-    result: Float[np.ndarray, "2 *draws rows cols"],
+    result: Float[np.ndarray, "*draws rows cols"],
 ) -> None:
     """Write, at each of these depths, the weighted mean over the pixels along the rim that are as deep."""
     for depth in depths:

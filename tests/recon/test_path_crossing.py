@@ -40,6 +40,18 @@ def test_ball_bends_alike_in_every_direction_along_it() -> None:
     assert np.abs(bend - along / RADIUS_MM)[inner].max() < 0.02 / RADIUS_MM
 
 
+def test_bend_at_a_rim_is_that_of_the_rim_and_not_of_the_middle_of_its_window() -> None:
+    x, y = np.meshgrid(np.arange(4.0, 10.25, 0.5), np.arange(0.0, 10.25, 0.5))
+    # z = x³/1000, whose curvature is z'' / (1 + z'²)^1.5; two pixels farther in it is less by a twelfth.
+    slope, bend = 3e-3 * x**2, 6e-3 * x
+    point = np.stack([x, y, 1e-3 * x**3], axis=2)
+    normal = np.stack([-slope, 0 * x, np.ones_like(x)], axis=2) / np.sqrt(1 + slope**2)[..., None]
+    true = -bend / (1 + slope**2) ** 1.5
+    found = np.trace(curvature_of(point, normal, np.ones(x.shape, dtype=bool)), axis1=2, axis2=3)
+    assert abs(true[10, -3] / true[10, -1] - 1) > 0.04
+    assert found[10, -3:] == pytest.approx(true[10, -3:], rel=0.02)
+
+
 def test_lone_pixel_shows_no_bend() -> None:
     scene = sphere(61)
     scene.mask[:25, :25] = False

@@ -12,9 +12,10 @@ from recon.method import Limits
 from recon.reconstruct import cross_paths, maps_of
 from recon.surface.height_patch import within_noise
 from recon.surface.lateral_places import along_surface
-from recon.surface.noise_reference import NoiseReference, depth_of, steadied
+from recon.surface.noise_reference import NoiseReference, depth_of, steadied, straight_depth_of
+from recon.surface.path_measurement import PathMeasurement
 from recon.surface.surface_stage import surface_of
-from recon.surface.window_bias import ClearSlopes, Slopes, bias_left, without_bias
+from recon.surface.window_bias import ClearSlopes, Slopes, bias_left, own_slopes, without_bias
 from recon.surface.window_means import replace_by_means, weighted_means
 from recon.surface.window_quadratic import Lines, WindowFit, fit_windows
 from sim_backend.scene import load_scene
@@ -116,9 +117,7 @@ def test_windows_and_maps_wider_than_there_is_room_for_in_a_row_are_refused() ->
         _fits(wide, wide, wide, wide, half_widths=(2,))
 
 
-def test_slopes_of_a_surface_that_bends_ever_more_lose_the_bias_of_their_window_and_keep_it_as_left_without_draws() -> (
-    None
-):
+def test_slopes_of_a_surface_that_bends_ever_more_lose_the_bias_of_their_window() -> None:
     q, p = np.indices((41, 41)) - 20.0
     trust, cubic = np.ones(p.shape), 1e-3 * p**3
     small, large = (
@@ -127,14 +126,83 @@ def test_slopes_of_a_surface_that_bends_ever_more_lose_the_bias_of_their_window_
     )
     true = 3e-3 * p**2
     depth_px, within = np.full(p.shape, 99.0), trust > 0
-    clear, left, _ = without_bias(large, as_fitted(small), trust, depth_px, within, half_width=4, smaller=2)
+    clear, left, _ = without_bias(large, as_fitted(small), trust, depth_px, depth_px, within, half_width=4, smaller=2)
     assert large.slope[0, 20, 20] - true[20, 20] == pytest.approx(1e-3 * 11.8, rel=1e-9)
     assert clear.slope[0, 20, 20] == pytest.approx(true[20, 20], abs=1e-12)
     assert left[0, 20, 20] == pytest.approx(0, abs=1e-12)
-    measured = as_fitted(Slopes(np.stack([true, 0 * p]), np.zeros((2, 0, *p.shape), np.float32), 0 * p))
-    kept, left, _ = without_bias(large, measured, trust, depth_px, within, half_width=4, smaller=0)
-    assert kept is large
-    assert left[0, 20, 20] == pytest.approx(1e-3 * 11.8, rel=1e-9)
+    measured = as_fitted(Slopes(np.stack([true, 0 * p]), np.zeros((2, 1, *p.shape), np.float32), 0 * p))
+    clear, left, _ = without_bias(large, measured, trust, depth_px, depth_px, within, half_width=4, smaller=0)
+    assert clear.slope[0, 20, 20] == pytest.approx(true[20, 20], abs=1e-12)
+    assert left[0, 20, 20] == pytest.approx(0, abs=1e-12)
+
+
+def test_a_window_held_against_measured_normals_keeps_the_mean_of_their_noise_and_says_so() -> None:
+    rng = np.random.default_rng(1)
+    noise_sd, shape = 0.05, (41, 41)
+    measured = as_fitted(
+        Slopes(
+            noise_sd * rng.standard_normal((2, *shape)),
+            (noise_sd * rng.standard_normal((2, 12, *shape))).astype(np.float32),
+            np.zeros(shape),
+        )
+    )
+    # The true slopes are 0, and the window is off by a fixed amount, without noise.
+    window = Slopes(np.full((2, *shape), 0.2), np.zeros((2, 12, *shape), np.float32), np.ones(shape))
+    deep = np.full(shape, 99.0)
+    clear, _, _ = without_bias(window, measured, np.ones(shape), deep, deep, deep > 0, half_width=1, smaller=0)
+    # A mean over 9 × 9; over the inner 33² pixels of two slopes lie some 26 that know nothing of each other.
+    inner = np.s_[..., 4:37, 4:37]
+    assert np.mean(clear.slope[inner] ** 2) == pytest.approx(noise_sd**2 / 81, rel=3 * np.sqrt(2 / 26))
+    assert np.mean(clear.drawn[inner] ** 2) == pytest.approx(noise_sd**2 / 81, rel=3 * np.sqrt(2 / (12 * 26)))
+
+
+def test_a_pixels_own_normal_turns_in_draws_as_much_as_the_covariance_of_its_paths_says() -> None:
+    scene = load_scene("hemisphere").resized(camera_columns=24)
+    _, crossing = crossed(
+        noisy_sweeps(exact_places(scene), sd_px=0.05, rng=np.random.default_rng(4)), scene_manifest(scene), "full"
+    )
+    crossing = crossing.on_surface()
+    shape, everywhere = (scene.camera.rows, scene.camera.columns), np.ones(len(crossing.pixels), dtype=bool)
+    paths = PathMeasurement.of(crossing, everywhere, shape=shape, n_liquid=1.3355, n_air=1.0)
+    distance = paths.on_grid(crossing.points.distance_liquid_mm, everywhere)
+    draw, rng = paths.noise_at(distance, np.isfinite(distance)), np.random.default_rng(5)
+    square = np.mean([(draw(rng)[3].astype(float) ** 2).sum(axis=1) for _ in range(200)], axis=0)
+    # Of two tilts in 200 draws, over all pixels.
+    ratio = np.mean(square / crossing.normal_sd_rad**2)
+    assert ratio == pytest.approx(1, abs=4 / np.sqrt(200 * len(square)) + 0.01)
+
+
+def test_slopes_of_measured_normals_change_with_them_as_a_small_turn_does() -> None:
+    rng = np.random.default_rng(2)
+    normal = np.array([0.3, -0.4, 1.0]) + 0.3 * rng.standard_normal((5, 6, 3))
+    normal /= np.linalg.norm(normal, axis=2, keepdims=True)
+    turn = 1e-4 * np.cross(rng.standard_normal((5, 6, 3)), normal)
+    mask = np.ones((5, 6), dtype=bool)
+    none = np.zeros((3, 0, 5, 6), np.float32)
+    before, after = (own_slopes(each, none, mask).clear.slope for each in (normal, normal + turn))
+    drawn = own_slopes(normal, np.moveaxis(turn, -1, 0)[:, None].astype(np.float32), mask).clear.drawn[:, 0]
+    assert np.allclose(drawn, after - before, rtol=1e-2, atol=1e-6)
+
+
+def test_where_the_rim_runs_aslant_the_bias_is_taken_off_at_each_pixels_own_distance_from_it() -> None:
+    q, p = np.indices((40, 60)) * 1.0
+    mask = 2 * q + p > 50
+    depth_px, straight_px = depth_of(mask), straight_depth_of(mask)
+    ring = (depth_px == 3) & (p > 8) & (p < 44)
+    assert straight_px[ring].std() > 0.2
+    # A bias that falls by as much from pixel to pixel; that of windows of one and two pixels is as 1 to 3.4.
+    bias = np.where(mask, 0.3 - 0.02 * straight_px, 0.0)
+    nothing = np.zeros((2, 1, *mask.shape), np.float32)
+    small, large = (
+        Slopes(np.stack([share * bias, 0 * bias]), nothing, np.ones(mask.shape)) for share in (1 / 3.4, 1.0)
+    )
+    one = mask.astype(np.float64)
+    off = [
+        without_bias(large, as_fitted(small), one, depth_px, far, mask, half_width=2, smaller=1)[0].slope[0, ring]
+        for far in (straight_px, depth_px)
+    ]
+    assert np.abs(off[0]).max() < 0.02 * 0.05
+    assert off[1].std() > 0.02 * 0.2
 
 
 def test_a_window_that_the_rim_cuts_is_held_against_the_smaller_one_where_that_is_whole() -> None:
@@ -146,7 +214,7 @@ def test_a_window_that_the_rim_cuts_is_held_against_the_smaller_one_where_that_i
     for slopes in (large.slope, large.drawn):
         slopes[..., depth_px > 5] *= 2
     known = ClearSlopes(small, before, 0.01 * ones)
-    clear, left, left_drawn = without_bias(large, known, ones, depth_px, mask, half_width=4, smaller=2)
+    clear, left, left_drawn = without_bias(large, known, ones, depth_px, depth_px, mask, half_width=4, smaller=2)
     for found, over in ((clear.slope, left), (clear.drawn, left_drawn)):
         assert np.allclose(found[..., both_cut], 0.1)
         assert np.allclose(over[..., both_cut], 0.1 * 11.8 / (11.8 - 3.4), rtol=0.1)
@@ -170,6 +238,18 @@ def test_what_is_left_of_the_bias_is_told_without_the_noise_in_it() -> None:
     sd = np.sqrt((4 * bias**2 * noise_sd**2 + 2.5 * noise_sd**4) / pixels)
     assert told[33, 33] == pytest.approx(bias**2, abs=3 * sd)
     assert 3 * sd < noise_sd**2
+
+
+def test_what_is_left_of_the_bias_is_told_by_pixels_as_deep() -> None:
+    mask = np.ones((80, 80), dtype=bool)
+    depth_px = depth_of(np.pad(mask, 1))[1:-1, 1:-1]
+    square, nothing = 100.0**-depth_px, np.zeros(mask.shape)
+    told = bias_left(square, nothing, as_fitted(everywhere(0.0, size=80)), mask, depth_px, half_width=4, smaller=2)
+    # Beyond the windows' reach of the rim, too, it is that of the same depth, or of up to three pixels farther out.
+    for depth in (5, 9, 12, 20):
+        there = depth_px == depth
+        assert (told[there] > 0.2 * square[there]).all()
+        assert (told[there] <= 100.0 ** -(depth - 3)).all()
 
 
 def test_a_window_is_left_where_most_about_it_leave_more_than_noise_or_it_far_more_itself() -> None:
