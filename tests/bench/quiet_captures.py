@@ -26,6 +26,8 @@ from sim_backend.scene import Scene
 CAPTURES = 300
 SCENES = ("hemisphere", "ornament", "semi_ellipsoid", "plate_round")
 COLUMNS = 128
+# A pump that fills in 20 s of the simulated clock is looked at 80 times, not 800.
+PUMP_RATE_ML_PER_MIN = 12000.0
 # More photos than one capture takes, so that no two captures share their noise.
 PHOTOS_APART = 1000
 
@@ -63,7 +65,8 @@ def short_rig(name: str, *, columns: int = COLUMNS) -> tuple[Scene, RigConfig]:
     scene = open_scene(name, options)
     config = config_of_scene(scene, options)
     brief = config.timing.model_copy(update={"still_after_move_s": 1.0, "still_after_fill_s": 1.0})
-    return scene, config.model_copy(update={"timing": brief})
+    tank = config.tank and config.tank.model_copy(update={"pump_rate_ml_per_min": PUMP_RATE_ML_PER_MIN})
+    return scene, config.model_copy(update={"timing": brief, "tank": tank})
 
 
 def count_alarms(captures: int, *, scenes: tuple[str, ...] = SCENES, columns: int = COLUMNS) -> Count:
