@@ -90,21 +90,17 @@ def corner_derivatives(
     """
     _, mm_per_px = _seen_around(state, corners, media)
     out = np.zeros((len(corners.place_px), 2, table.count))
-
-    def in_photo(on_screen_mm: np.ndarray) -> np.ndarray:
-        return solve_2_by_2(mm_per_px, on_screen_mm)
-
     ray = view_rays(corners.place_px, state.lens)
     if LENS in table.parts:
         out[:, :, table.part(LENS)] = -_by_lens(ray, state.lens)
     if SCALE in table.parts:
-        out[:, :, table.part(SCALE)] = in_photo(-corners.board_mm)[:, :, None]
+        out[:, :, table.part(SCALE)] = solve_2_by_2(mm_per_px, -corners.board_mm)[:, :, None]
     if GLASS in table.parts:
         step = float(table.nudge[table.part(GLASS)][0])
         ahead, behind = (
             _seen(replace(state, glass_mm=state.glass_mm + sign * step), ray, corners, media) for sign in (1, -1)
         )
-        out[:, :, table.part(GLASS)] = in_photo((ahead - behind) / (2 * step))[:, :, None]
+        out[:, :, table.part(GLASS)] = solve_2_by_2(mm_per_px, (ahead - behind) / (2 * step))[:, :, None]
     if LIQUID in table.parts and state.liquid is not None:
         part = table.part(LIQUID)
         for number, step in enumerate(table.nudge[part]):
@@ -114,7 +110,7 @@ def corner_derivatives(
                 _seen(replace(state, liquid=tilted(state.liquid, sign * nudge)), ray, corners, media)
                 for sign in (1, -1)
             )
-            out[:, :, part.start + number] = in_photo((ahead - behind) / (2 * step))
+            out[:, :, part.start + number] = solve_2_by_2(mm_per_px, (ahead - behind) / (2 * step))
     by_pose = _by_pose(state, ray, corners, table, media)
     for number, name in enumerate(corners.panels):
         on_it = corners.panel == number
