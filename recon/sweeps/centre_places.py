@@ -7,9 +7,11 @@ follows it, and no gap shows it. But map and light are known from the pixels abo
 A curve tells a place by how much of the footprint lies below each edge between two device pixels within it. With the place
 u + g·x + ½ x·C x and the light 1 + a·x over the pixel, x from −½ to ½ each way, an edge at e parts it along g·x = e − u. There
 the bend moves light across the edge, ∫ ½ x·C x along that line over |g|, and below it lies ∫ a·x more. Either over the line's
-length is how far the place seems to be off, to first order. Of several edges each counts as the fit counts it. A footprint
-within one device pixel holds no edge and says no more than before.
+length is how far the place seems to be off, to first order. Of several edges each counts as the fit counts it: by what its
+light does to the samples, and by their noise. A footprint within one device pixel holds no edge and says no more than before.
 """
+
+from typing import NamedTuple
 
 import numpy as np
 from jaxtyping import Bool, Float, Float32, Float64, Int
@@ -18,6 +20,7 @@ from recon.compiled import compiled
 from recon.patterns.sweep_frames import device_brightness
 from recon.sessions.manifest import StripePattern
 from recon.sweeps.map_bends import map_bends
+from recon.sweeps.noise import NoiseModel
 
 # Quadratic surfaces through so many pixels each way tell how the map bends: the larger window where it holds, else the smaller.
 WINDOWS_PX = (9, 5)
@@ -43,6 +46,7 @@ def centre_shifts(
     light: Float32[np.ndarray, " pixels"],
     *,
     pattern: StripePattern,
+    noise: NoiseModel,
 ) -> tuple[SmallGrid, Mask]:
     """Return by how much places lie beside those of the pixels' centres, in device pixels, and where only neighbours tell so.
 
@@ -56,10 +60,12 @@ def centre_shifts(
         Pixels that saw one stripe, by one path: they alone tell, and are told.
     pixels, light
         The pixels that were fitted (row · columns + column), in ascending order, and the height of each one's curve in counts.
+    noise
+        The noise by which the samples were weighed.
     """
     rows, cols = place_px.shape
     shift, by_others = np.zeros(place_px.shape, np.float32), np.zeros(place_px.shape, dtype=bool)
-    margin, alike = 2 * (max(WINDOWS_PX) // 2) + SPREAD_PX, _alike(pattern)
+    margin, stripe = 2 * (max(WINDOWS_PX) // 2) + SPREAD_PX, Stripe.of(pattern, noise)
     for top in range(0, rows, BAND_ROWS):
         bottom = min(top + BAND_ROWS, rows)
         above, below = max(top - margin, 0), min(bottom + margin, rows)
@@ -73,30 +79,48 @@ def centre_shifts(
         part = slice(above, below), slice(columns[0], columns[-1] + 1)
         lit, there = lit[:, part[1]], np.ascontiguousarray(there[:, part[1]])
         place, sd = (np.where(there, one[part], 0).astype(np.float32) for one in (place_px, sd_px))
-        found, known = _shifts(place, sd, np.log(np.where(there, lit, np.float32(1))), there, alike)
+        found, known = _shifts(place, sd, np.where(there, lit, np.float32(1)), there, stripe)
         inner, own = slice(top - above, bottom - above), (slice(top, bottom), part[1])
         by_others[own] = _told_to_others(found, known, there)[inner]
         shift[own] = found[inner]
     return shift, by_others
 
 
-def _alike(pattern: StripePattern) -> Float64[np.ndarray, " apart"]:
-    """Return how alike the light changes at two edges of device pixels while the stripe passes, by how far they are apart."""
-    reach = int(np.ceil(pattern.width_px)) + 2
-    change = np.diff(device_brightness(np.arange(-reach, reach + 1.0), pattern))
-    return np.correlate(change, change, "full")[len(change) - 1 :].copy()
+class Stripe(NamedTuple):
+    """What a stripe lights and how its samples are weighed.
+
+    ``brightness`` is that of device pixels about the stripe's own, the middle one; it stands on every ``step``-th of them, of
+    which ``first`` is one. ``variance`` holds the terms of :class:`~recon.sweeps.noise.NoiseModel`.
+    """
+
+    brightness: Float64[np.ndarray, " places"]
+    step: int
+    first: int
+    variance: tuple[float, float, float]
+
+    @classmethod
+    def of(cls, pattern: StripePattern, noise: NoiseModel) -> "Stripe":
+        """Lay out a pattern's stripe; where it moves by less than a device pixel, as if it moved by one."""
+        reach = int(np.ceil(pattern.width_px)) + 2
+        return cls(
+            device_brightness(np.arange(-reach, reach + 1.0), pattern),
+            max(1, round(pattern.step_px)),
+            round(pattern.first_px),
+            (noise.read_variance, noise.gain, noise.relative),
+        )
 
 
 def _shifts(
-    place: SmallGrid, sd_px: SmallGrid, fading: SmallGrid, there: Mask, alike: Float64[np.ndarray, " apart"]
+    place: SmallGrid, sd_px: SmallGrid, light: SmallGrid, there: Mask, stripe: Stripe
 ) -> tuple[SmallGrid, Mask]:
     """Return the shifts of the pixels whose surface is known, and which these are."""
     shift, known = np.zeros(there.shape, np.float32), np.zeros(there.shape, dtype=bool)
     for window_px in WINDOWS_PX:
-        terms, holds = map_bends(place, sd_px, fading, there, window_px=window_px)
+        terms, holds = map_bends(place, sd_px, np.log(light), there, window_px=window_px)
         holds &= ~known
         numbers = np.flatnonzero(holds)
-        _write_shifts(place.ravel(), terms.reshape(len(terms), -1), numbers, alike, shift.ravel())
+        flat = terms.reshape(len(terms), -1)
+        _write_shifts(place.ravel(), light.ravel(), flat, numbers, *stripe, shift.ravel())
         known |= holds
     return shift, known
 
@@ -134,16 +158,24 @@ def _write_means_beside(shift: np.ndarray, told: np.ndarray, pixels: np.ndarray,
 
 @compiled
 def _write_shifts(
-    place: np.ndarray, terms: np.ndarray, pixels: np.ndarray, alike: np.ndarray, shift: np.ndarray
+    place: np.ndarray,
+    light: np.ndarray,
+    terms: np.ndarray,
+    pixels: np.ndarray,
+    brightness: np.ndarray,
+    step: int,
+    first_stripe: int,
+    variance: tuple[float, float, float],
+    shift: np.ndarray,
 ) -> None:
     """Write the shifts of some pixels by the terms of the map about them."""
-    apart = len(alike)
-    counts, offset = np.empty(LANES, np.int64), np.empty(LANES, np.float32)
+    counts, firsts, offset = np.empty(LANES, np.int64), np.empty(LANES, np.int64), np.empty(LANES, np.float32)
     steepness, other = np.empty(LANES, np.float32), np.empty(LANES, np.float32)
     bend, bend_across, twist = np.empty(LANES, np.float32), np.empty(LANES, np.float32), np.empty(LANES, np.float32)
     fading, fading_across = np.empty(LANES, np.float32), np.empty(LANES, np.float32)
-    cut, bent = np.empty(LANES, np.float32), np.empty(LANES, np.float32)
-    length, moved = np.empty((MOST_EDGES, LANES), np.float32), np.empty((MOST_EDGES, LANES), np.float32)
+    cut, bent, under = np.empty(LANES, np.float32), np.empty(LANES, np.float32), np.empty(LANES, np.float32)
+    length, moved = np.empty((LANES, MOST_EDGES), np.float32), np.empty((LANES, MOST_EDGES), np.float32)
+    below = np.empty((LANES, MOST_EDGES), np.float32)
     half = np.float32(0.5)
     for low in range(0, len(pixels), LANES):
         longest = 0
@@ -162,9 +194,9 @@ def _write_shifts(
             bend[lane], bend_across[lane] = terms[2 + 2 * steep, pixel], terms[4 - 2 * steep, pixel]
             twist[lane] = along * across * terms[3, pixel]
             fading[lane], fading_across[lane] = along * terms[5 + steep, pixel], across * terms[6 - steep, pixel]
-            offset[lane] = first + 0.5 - place[pixel]
+            offset[lane], firsts[lane] = first + 0.5 - place[pixel], np.int64(first)
         for edge in range(longest):
-            cut[:], bent[:] = np.float32(0), np.float32(0)
+            cut[:], bent[:], under[:] = np.float32(0), np.float32(0), np.float32(0)
             for line in range(LINES):
                 y, number = np.float32((line + 0.5) / LINES - 0.5), np.float32(edge)
                 for lane in range(LANES):
@@ -176,12 +208,59 @@ def _write_shifts(
                     x = -half if x < -half else x
                     faded = half * fading[lane] * (x * x - np.float32(0.25)) + fading_across[lane] * y * (x + half)
                     bent[lane] += rise * crossed - faded
-            length[edge, :], moved[edge, :] = cut, bent
+                    under[lane] += x + half
+            length[:, edge], moved[:, edge], below[:, edge] = cut, bent, under
         for lane in range(min(LANES, len(pixels) - low)):
-            total = weight = 0.0
-            for one in range(counts[lane]):
-                for two in range(max(one + 1 - apart, 0), min(one + apart, counts[lane])):
-                    total += alike[abs(one - two)] * length[one, lane] * moved[two, lane]
-                    weight += alike[abs(one - two)] * length[one, lane] * length[two, lane]
-            if weight > 0:
-                shift[pixels[low + lane]] = total / weight
+            edges, pixel = counts[lane], pixels[low + lane]
+            if edges == 1:
+                shift[pixel] = moved[lane, 0] / length[lane, 0] if length[lane, 0] > 0 else np.float32(0)
+            elif edges > 1:
+                before = (first_stripe - firsts[lane]) % step
+                shift[pixel] = _weighed(
+                    length[lane, :edges],
+                    moved[lane, :edges],
+                    below[lane, :edges],
+                    before,
+                    step,
+                    brightness,
+                    light[pixel],
+                    variance,
+                )
+
+
+@compiled
+def _weighed(
+    length: np.ndarray,
+    moved: np.ndarray,
+    below: np.ndarray,
+    before: int,
+    step: int,
+    brightness: np.ndarray,
+    light: float,
+    variance: tuple[float, float, float],
+) -> float:
+    """Return the shift that several edges tell together, each sample weighed by its noise; edge 0 ends device pixel 0.
+
+    The sample with the stripe on device pixel p is that of the last device pixel less, at every edge, what lies below it
+    (``below``, of ``LINES``) times the step of brightness there.
+    """
+    edges, reach = len(length), len(brightness) // 2
+    read, gain, relative = variance
+    total = weight = 0.0
+    stripe = before - step * ((reach + before) // step)
+    while stripe <= edges + reach:
+        last = edges - stripe + reach
+        seen = brightness[last] if 0 <= last < len(brightness) else 0.0
+        steeper = off = 0.0
+        for edge in range(max(stripe - reach, 0), min(stripe + reach, edges)):
+            place = edge - stripe + reach
+            change = brightness[place + 1] - brightness[place]
+            steeper += length[edge] * change
+            off += moved[edge] * change
+            seen -= below[edge] / LINES * change
+        height = max(seen, 0.0) * light
+        precision = 1 / (read + gain * height + (relative * height) ** 2)
+        total += precision * steeper * off
+        weight += precision * steeper * steeper
+        stripe += step
+    return total / weight if weight > 0 else 0.0
