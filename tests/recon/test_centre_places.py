@@ -11,6 +11,7 @@ from recon.patterns.sweep_frames import device_brightness
 from recon.sessions.manifest import StripePattern
 from recon.sweeps.centre_places import centre_shifts
 from recon.sweeps.likelihood import places_by_likelihood
+from recon.sweeps.noise import NoiseModel
 from recon.sweeps.peak_tracker import PeakTracker
 
 PATTERN = StripePattern(profile="raised_cosine", width_px=6.0, first_px=0.0, step_px=1.0, count=64)
@@ -18,6 +19,10 @@ POINTS = 160
 STOPS = (np.arange(POINTS) + 0.5) / POINTS - 0.5
 ACROSS, DOWN = np.meshgrid(STOPS, STOPS)
 SURE_PX = 1e-3
+LIGHT = 200.0
+EVEN = NoiseModel(read_variance=1.0)
+# 20,000 electrons at 255 counts, with a floor of a third of a count.
+SHOT = NoiseModel(read_variance=0.1, gain=255 / 20_000)
 
 
 def shares(place, light):
@@ -31,7 +36,7 @@ def curve(share):
     return device_brightness((number[:, None] - number).astype(float), PATTERN) @ share
 
 
-def likeliest_shift(place_px, by_col, by_row, bends, fading):
+def likeliest_shift(place_px, by_col, by_row, bends, fading, noise):
     """Return how far beside its centre's place the likeliest place of an unbent, evenly lit footprint is."""
     bent = 0.5 * bends[0] * ACROSS**2 + bends[1] * ACROSS * DOWN + 0.5 * bends[2] * DOWN**2
     plane = by_col * ACROSS + by_row * DOWN
@@ -42,7 +47,9 @@ def likeliest_shift(place_px, by_col, by_row, bends, fading):
     fits = [np.polynomial.Polynomial.fit(shifts, column, 3) for column in table.T]
 
     def left(unknown):
-        return unknown[1] * np.array([one(unknown[0]) for one in fits]) - seen
+        return (unknown[1] * np.array([one(unknown[0]) for one in fits]) - seen) / sd
+
+    sd = np.sqrt(noise.variance(LIGHT * seen))
 
     return least_squares(left, [0.0, 1.0]).x[0]
 
@@ -51,10 +58,10 @@ def map_of(middle_px, by_col, by_row, bends, fading):
     """Return place and light of 19 × 19 pixels about one."""
     y, x = (one.astype(float) for one in np.mgrid[-9:10, -9:10])
     place = middle_px + by_col * x + by_row * y + 0.5 * bends[0] * x**2 + bends[1] * x * y + 0.5 * bends[2] * y**2
-    return place, (200 * np.exp(fading[0] * x + fading[1] * y)).astype(np.float32)
+    return place, (LIGHT * np.exp(fading[0] * x + fading[1] * y)).astype(np.float32)
 
 
-def shifts_of(place, light, *, trusted=None):
+def shifts_of(place, light, *, trusted=None, noise=EVEN):
     return centre_shifts(
         place,
         np.full(place.shape, SURE_PX, np.float32),
@@ -62,6 +69,7 @@ def shifts_of(place, light, *, trusted=None):
         np.arange(place.size),
         light.ravel(),
         pattern=PATTERN,
+        noise=noise,
     )
 
 
@@ -77,13 +85,25 @@ def shifts_of(place, light, *, trusted=None):
     ],
 )
 @pytest.mark.parametrize("middle_px", [31.6, 31.9, 32.25])
-def test_a_bent_or_fading_footprint_is_moved_to_its_centre(by_col, by_row, bends, fading, middle_px):
+@pytest.mark.parametrize("noise", [EVEN, SHOT])
+def test_a_bent_or_fading_footprint_is_moved_to_its_centre(by_col, by_row, bends, fading, middle_px, noise):
     place, light = map_of(middle_px, by_col, by_row, bends, fading)
-    found, by_others = shifts_of(place, light)
-    expected = likeliest_shift(middle_px, by_col, by_row, bends, fading)
+    found, by_others = shifts_of(place, light, noise=noise)
+    expected = likeliest_shift(middle_px, by_col, by_row, bends, fading, noise)
     assert not by_others[9, 9]
     # Lines and points are counted, and what is of second order is left out.
     assert found[9, 9] == pytest.approx(expected, abs=3e-4 + 0.15 * abs(expected))
+
+
+def test_dim_samples_say_most_of_a_steep_footprint_in_shot_noise():
+    steep = (4.0, 1.6, (0.3, 0.0, 0.0), (-0.06, 0.0))
+    place, light = map_of(31.9, *steep)
+    by_noise = [
+        (shifts_of(place, light, noise=one)[0][9, 9], likeliest_shift(31.9, *steep, one)) for one in (EVEN, SHOT)
+    ]
+    (even, expected_even), (shot, expected_shot) = by_noise
+    assert shot - even == pytest.approx(expected_shot - expected_even, rel=0.25)
+    assert expected_shot - expected_even > 0.001
 
 
 @pytest.mark.parametrize("slope", [30.0, 60.0, 120.0])
@@ -110,6 +130,7 @@ def test_a_fading_footprint_wider_than_the_stripe_is_moved_by_its_two_ends(slope
         np.arange(place.size),
         light.ravel(),
         pattern=wide,
+        noise=EVEN,
     )
     assert found[9, 9] == pytest.approx(expected, rel=0.03)
 
