@@ -101,9 +101,12 @@ class Stripe(NamedTuple):
     @classmethod
     def of(cls, pattern: StripePattern, noise: NoiseModel) -> "Stripe":
         """Lay out a pattern's stripe; where it moves by less than a device pixel, as if it moved by one."""
-        reach = int(np.ceil(pattern.width_px)) + 2
+        widest = int(np.ceil(pattern.width_px)) + 2
+        brightness = device_brightness(np.arange(-widest, widest + 1.0), pattern)
+        lit = np.flatnonzero(brightness)
+        dark = int(min(lit[0], len(brightness) - 1 - lit[-1])) - 1  # one dark place is kept at either end
         return cls(
-            device_brightness(np.arange(-reach, reach + 1.0), pattern),
+            brightness[dark : len(brightness) - dark],
             max(1, round(pattern.step_px)),
             round(pattern.first_px),
             (noise.read_variance, noise.gain, noise.relative),
