@@ -45,7 +45,10 @@ def curvature_of(point_mm: VectorMap, normal: VectorMap, used: Mask, *, threads:
         # A lone pixel spreads over nothing, and shows no bend.
         if (size[used] < least).any():
             over_bands(write, len(used), threads=threads)
-        _follow_to_rim(result.copy(), used, cut, result)
+        numbers = np.flatnonzero(cut)
+        change = np.zeros((len(numbers), 3, 3))
+        _write_changes(result, used, cut, numbers, change)
+        result.reshape(-1, 3, 3)[numbers] += change
     return result
 
 
@@ -99,8 +102,10 @@ def _curvatures(
 
 
 @compiled
-def _follow_to_rim(told: np.ndarray, used: np.ndarray, cut: np.ndarray, bend: np.ndarray) -> None:
-    """Write the bend at each pixel whose window is ``cut``, from what its window and those about it ``told`` of their middles.
+def _write_changes(
+    told: np.ndarray, used: np.ndarray, cut: np.ndarray, numbers: np.ndarray, change: np.ndarray
+) -> None:
+    """Write by how much the bend at the pixels whose windows are ``cut`` differs from what these ``told`` of their middles.
 
     With a bend that changes evenly from the pixel inwards, K = K_w + (K_w − M) |m − x| / |m' − m|, where m is the middle of the
     pixel's own window, and m' and M the means of the middles and of the bends of the windows about x.
@@ -120,36 +125,32 @@ def _follow_to_rim(told: np.ndarray, used: np.ndarray, cut: np.ndarray, bend: np
                         count, down, right = count + 1, down + i, right + j
             middle[row, col, 0], middle[row, col, 1] = down / count, right / count
     mean = np.empty((3, 3))
-    for row in range(rows):
-        for col in range(cols):
-            if not cut[row, col]:
-                continue
-            inward, aside = middle[row, col, 0] - row, middle[row, col, 1] - col
-            count, farther = 0, 0.0
-            mean[:] = 0.0
-            for i in range(max(row - reach, 0), min(row + reach + 1, rows)):
-                for j in range(max(col - reach, 0), min(col + reach + 1, cols)):
-                    if used[i, j]:
-                        count += 1
-                        farther += (middle[i, j, 0] - middle[row, col, 0]) * inward
-                        farther += (middle[i, j, 1] - middle[row, col, 1]) * aside
-                        for a in range(3):
-                            for b in range(3):
-                                mean[a, b] += told[i, j, a, b]
-            squared = inward**2 + aside**2
-            # Where the windows about it lie no farther in, nothing is followed.
-            factor = min(squared * count / farther, FARTHEST) if farther > 0 else 0.0
-            own_squared, change_squared = 0.0, 0.0
-            for a in range(3):
-                for b in range(3):
-                    mean[a, b] = factor * (told[row, col, a, b] - mean[a, b] / count)
-                    own_squared += told[row, col, a, b] ** 2
-                    change_squared += mean[a, b] ** 2
-            if change_squared > LARGEST_SQUARE * own_squared:
-                continue
-            for a in range(3):
-                for b in range(3):
-                    bend[row, col, a, b] += mean[a, b]
+    for number in range(len(numbers)):
+        row, col = numbers[number] // cols, numbers[number] % cols
+        inward, aside = middle[row, col, 0] - row, middle[row, col, 1] - col
+        count, farther = 0, 0.0
+        mean[:] = 0.0
+        for i in range(max(row - reach, 0), min(row + reach + 1, rows)):
+            for j in range(max(col - reach, 0), min(col + reach + 1, cols)):
+                if used[i, j]:
+                    count += 1
+                    farther += (middle[i, j, 0] - middle[row, col, 0]) * inward
+                    farther += (middle[i, j, 1] - middle[row, col, 1]) * aside
+                    for a in range(3):
+                        for b in range(3):
+                            mean[a, b] += told[i, j, a, b]
+        squared = inward**2 + aside**2
+        # Where the windows about it lie no farther in, nothing is followed.
+        factor = min(squared * count / farther, FARTHEST) if farther > 0 else 0.0
+        own_squared, change_squared = 0.0, 0.0
+        for a in range(3):
+            for b in range(3):
+                mean[a, b] = factor * (told[row, col, a, b] - mean[a, b] / count)
+                own_squared += told[row, col, a, b] ** 2
+                change_squared += mean[a, b] ** 2
+        if change_squared > LARGEST_SQUARE * own_squared:
+            continue
+        change[number] = mean
 
 
 @compiled
