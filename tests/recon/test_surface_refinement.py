@@ -5,6 +5,7 @@ from dataclasses import fields
 import numpy as np
 import pytest
 from ray_field import crossed, exact_places, noisy_sweeps, scene_manifest
+from scipy.ndimage import distance_transform_edt
 
 from recon.evaluation.spread import angle_between_rad
 from recon.maps import Maps, Support
@@ -203,6 +204,16 @@ def test_where_the_rim_runs_aslant_the_bias_is_taken_off_at_each_pixels_own_dist
     ]
     assert np.abs(off[0]).max() < 0.02 * 0.05
     assert off[1].std() > 0.02 * 0.2
+
+
+def test_straight_distances_from_the_rim_are_roots_of_whole_numbers_wherever_in_memory_the_map_lies() -> None:
+    # Odd widths put every row, and each map that is held on to the next one, at another place.
+    held = []
+    for cols in range(41, 61):
+        down, right = np.indices((48, cols))
+        mask = (down - 23.3) ** 2 + (right - cols / 2) ** 2 < 19.7**2
+        held.append(straight_depth_of(mask))
+        assert np.array_equal(held[-1], distance_transform_edt(mask))
 
 
 def test_a_window_that_the_rim_cuts_is_held_against_the_smaller_one_where_that_is_whole() -> None:
