@@ -24,6 +24,8 @@ DRAWS = 3 * COLUMNS
 DRAW_WINDOW_PX = 9
 DRAW_TOLERANCE = 1e-2  # of a draw, of which twelve tell an sd to a tenth
 DRAW_SEED = 20180601
+# No path slides as far on an object that a tank holds; half precision ends at 65,504.
+FARTHEST_MM = np.float32(1e4)
 
 # The noise of normals alone, of which all pixels have their own, over so many pixels.
 TURN_WINDOW_PX = 17
@@ -50,7 +52,7 @@ def drawn_errors(
     threads: int,
 ) -> tuple[
     Float32[np.ndarray, "draws rows cols"],
-    Float32[np.ndarray, "2 draws rows cols"],
+    Float16[np.ndarray, "2 draws rows cols"],
     Float16[np.ndarray, "3 draws rows cols"],
     PerPixel,
 ]:
@@ -75,8 +77,8 @@ def drawn_errors(
     """
     rng = np.random.default_rng(DRAW_SEED)
     places = np.flatnonzero(graph.mask)
-    slides = np.zeros((2, DRAWS, *graph.mask.shape), np.float32)
-    # Half precision tells an angle to a thousandth, and memory is what a large surface lacks here.
+    # Half precision tells lengths and angles to a thousandth, and memory is what a large surface lacks here.
+    slides = np.zeros((2, DRAWS, *graph.mask.shape), np.float16)
     own_turns = np.zeros((3, DRAWS, *graph.mask.shape), np.float16)
     turned_squared, own = np.zeros(len(places)), np.empty(len(places))
     turned = np.empty((2, len(graph.first)), np.float32)
@@ -98,7 +100,8 @@ def drawn_errors(
             for column in range(COLUMNS):
                 distance_error, normal_error, slide, own_turn = next(drawn)
                 for axis in (0, 1):
-                    slides[axis, first + column].reshape(-1)[places] = slide @ across[axis].astype(np.float32)
+                    moved = slide @ across[axis].astype(np.float32)
+                    slides[axis, first + column].reshape(-1)[places] = np.clip(moved, -FARTHEST_MM, FARTHEST_MM)
                 for axis in range(3):
                     own_turns[axis, first + column].reshape(-1)[places] = np.float32(scales[1]) * own_turn[:, axis]
                 _write_right_side(

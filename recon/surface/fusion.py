@@ -46,7 +46,7 @@ class FusedSurface:
     distance_mm: ScalarMap
     distance_sd_mm: ScalarMap
     distance_error_mm: Float32[np.ndarray, "draws rows cols"]
-    slide_mm: Float32[np.ndarray, "2 draws rows cols"]
+    slide_mm: Float16[np.ndarray, "2 draws rows cols"]
     sight_frame: Float64[np.ndarray, "3 3"]
     own_turn_rad: Float16[np.ndarray, "3 draws rows cols"]
     turn_sd_rad: ScalarMap
@@ -125,7 +125,7 @@ def fuse_on_rays(
     else:
         errors, slides, own_turns = (
             np.full((DRAWS, *used.shape), np.nan, np.float32),
-            np.zeros((2, DRAWS, *used.shape), np.float32),
+            np.zeros((2, DRAWS, *used.shape), np.float16),
             np.zeros((3, DRAWS, *used.shape), np.float16),
         )
     outlier = np.zeros(used.shape, dtype=bool)

@@ -62,7 +62,7 @@ class Sight:
             lines=Lines(offset @ lateral.axes[:2] @ frame.T / unit_mm, frame @ lateral.axes[2]),
             across=lateral.axes[:2] @ frame.T,
             variance=lateral.variance[(slice(None), *wide)] / unit_mm**2,
-            error=lateral.error_mm[(slice(None), slice(None), *wide)] / np.float32(unit_mm),
+            error=lateral.error_mm[(slice(None), slice(None), *wide)].astype(np.float32) / np.float32(unit_mm),
             middle_mm=middle_mm,
             unit_mm=unit_mm,
             frame=frame,

@@ -5,7 +5,7 @@ from dataclasses import dataclass
 from functools import cache
 
 import numpy as np
-from jaxtyping import Float32, Float64
+from jaxtyping import Float16, Float64
 from scipy.stats import chi2
 
 from recon.surface.ray_chords import Mask, ScalarMap, VectorMap
@@ -31,7 +31,7 @@ class LateralPlaces:
 
     place_mm: Float64[np.ndarray, "2 rows cols"]
     variance: Float64[np.ndarray, "2 rows cols"]
-    error_mm: Float32[np.ndarray, "2 draws rows cols"]
+    error_mm: Float16[np.ndarray, "2 draws rows cols"]
     axes: Float64[np.ndarray, "3 3"]
 
 
@@ -39,7 +39,7 @@ def lateral_places(
     point_mm: VectorMap,
     shift: Float64[np.ndarray, "pixels 3 3"],
     used: Mask,
-    slide_mm: Float32[np.ndarray, "2 draws rows cols"],
+    slide_mm: Float16[np.ndarray, "2 draws rows cols"],
     axes: Float64[np.ndarray, "3 3"],
     *,
     threads: int = 1,
@@ -71,7 +71,7 @@ def lateral_places(
             centred = np.where(here > 0, values - np.average(values, weights=here), 0.0)
             middle = values - centred
             held = here > 0
-            noise = np.ascontiguousarray(slide_mm[(axis, slice(None), *wide)])
+            noise = slide_mm[(axis, slice(None), *wide)].astype(np.float32)
             fits = fit_windows(columns, rows, centred, noise, here, lines, half_widths=HALF_WIDTHS_PX, readings=1)
             for half_width, fit in zip(HALF_WIDTHS_PX, fits, strict=True):
                 freedom = fit.count - 6
