@@ -31,7 +31,6 @@ from rig.errors import CaptureStopped, ConfigError, RigError
 from rig.options import choose_rig, rig_of_session
 from rig.planning.plan import plan_capture
 from rig.planning.plan_table import print_plan
-from rig.planning.predicted import alternatives, print_prediction
 from rig.planning.steps import step_text
 from rig.rehearsing.scene_config import SceneOptions, config_of_scene, open_scene
 from rig.rehearsing.simulate import simulate_session, simulate_truth
@@ -237,6 +236,9 @@ def plan(
     )
     rig = choose_rig(sim or scene is not None, config, scene, changes)
     if predict is not None:
+        # Loads what compiles loops, which would slow every other command.
+        from rig.planning.predicted import alternatives, print_prediction
+
         print_prediction(alternatives(rig.config, predict, place_sd_px=place_sd_px), rig.config, console)
         return
     print_plan(plan_capture(rig.config), rig.config, console)

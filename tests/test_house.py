@@ -52,18 +52,27 @@ def test_recon_imports_on_a_machine_without_any_hardware_library() -> None:
     assert ran.returncode == 0, ran.stderr
 
 
-def test_the_help_of_recon_waits_for_no_numerical_library() -> None:
+@pytest.mark.parametrize(
+    ("arguments", "libraries", "option"),
+    [
+        (["recon", "run"], ["scipy", "matplotlib", "numba", "cv2", "pyamg", "trimesh"], "--smallest-angle-deg"),
+        (["rig", "capture"], ["scipy.stats", "matplotlib", "numba", "pyamg", "trimesh"], "--pause-after"),
+    ],
+)
+def test_help_waits_for_no_library_that_is_slow_to_load(
+    arguments: list[str], libraries: list[str], option: str
+) -> None:
     script = (
         "import sys\n"
-        "for name in ('scipy', 'matplotlib', 'numba', 'cv2', 'pyamg', 'trimesh'):\n"
+        f"for name in {libraries}:\n"
         "    sys.modules[name] = None\n"
-        "sys.argv = ['recon', 'run', '--help']\n"
-        "from recon.cli import main\n"
+        f"sys.argv = {[*arguments, '--help']}\n"
+        f"from {arguments[0]}.cli import main\n"
         "main()\n"
     )
     ran = subprocess.run([sys.executable, "-c", script], cwd=ROOT, capture_output=True, text=True, check=False)
     assert ran.returncode == 0, ran.stderr
-    assert "--smallest-angle-deg" in ran.stdout
+    assert option in ran.stdout
 
 
 @pytest.mark.parametrize("page", PAGES, ids=name_of)

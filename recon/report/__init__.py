@@ -3,8 +3,3 @@
 ``writer`` puts the page together from sections; a section holds panels, and a panel names the template that draws it.
 Pages other than a session's own report can be made from the same parts with :func:`recon.report.page.render_page`.
 """
-
-from recon.report.views import Mesh
-from recon.report.writer import REPORT_NAME, write_report
-
-__all__ = ["REPORT_NAME", "Mesh", "write_report"]

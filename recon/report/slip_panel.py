@@ -1,7 +1,7 @@
 """Whether the display slipped between dry and wet, by its calibration: a drawing and a table of each position."""
 
 import numpy as np
-from scipy.stats import chi2
+from scipy.special import chdtri
 
 from recon.calibration.calibration_file import Calibration
 from recon.calibration.display_motion import slips_of
@@ -49,7 +49,7 @@ def slip_panel(calibration: Calibration) -> Panel:
 def slip_chart(slip: Slip) -> dict[str, object]:
     """Return the drawing of one slip: right and down in mm, the same scale for both, with the 95 % ellipse."""
     values, vectors = np.linalg.eigh(slip.covariance[3:5, 3:5])
-    reach = float(np.sqrt(chi2.ppf(CHANCE, 2)))
+    reach = float(np.sqrt(chdtri(2, 1 - CHANCE)))
     radii_mm = reach * np.sqrt(np.maximum(values, 0.0))
     limit_mm = round_up(1.15 * float(np.abs(slip.moved[3:5]).max() + radii_mm.max()))
     x = Scale(-limit_mm, limit_mm, SLIP_EDGE, SLIP_SIZE - SLIP_TOP)

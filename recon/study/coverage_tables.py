@@ -3,7 +3,7 @@
 from collections.abc import Mapping, Sequence
 
 import numpy as np
-from scipy.stats import norm
+from scipy.special import ndtr
 
 from recon.evaluation.coverage import Coverage, Share
 from recon.method import Method
@@ -99,10 +99,8 @@ def outside_by_chance(coverages: Sequence[Coverage]) -> float | None:
     sds = np.array([[share.sd for share in each.by_decile] for each in coverages])
     if np.isnan(sds).any():
         return None
-    pooled = np.sqrt((sds**2).mean(axis=0))
-    return round(
-        len(sds) * float(2 * norm.sf((MOST - LEAST) / 2, scale=np.maximum(pooled, np.finfo(float).tiny)).sum()), 1
-    )
+    pooled = np.maximum(np.sqrt((sds**2).mean(axis=0)), np.finfo(float).tiny)
+    return round(len(sds) * float(2 * ndtr(-(MOST - LEAST) / 2 / pooled).sum()), 1)
 
 
 def _percent(share: Share) -> str:

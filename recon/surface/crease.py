@@ -4,7 +4,7 @@ from dataclasses import dataclass
 
 import numpy as np
 from jaxtyping import Bool, Float64
-from scipy.stats import norm
+from scipy.special import ndtr
 
 from recon.surface.local_surfaces import Guess
 
@@ -46,4 +46,4 @@ def crease_between(one: Guess, other: Guess, spacing_mm: PerPlace) -> Crease:
     noise_mm2 = np.where(known, one.across_mm2 + other.across_mm2, 0.0) + (turn / 2) ** 2 * slide_mm2
     meets = known & (at_first * at_second < 0) & (np.abs(here) < spacing_mm * turn)
     apart = np.divide(np.abs(here), np.sqrt(noise_mm2), out=np.zeros_like(here), where=noise_mm2 > 0)
-    return Crease(meets, here * at_first > 0, norm.sf(apart))
+    return Crease(meets, here * at_first > 0, ndtr(-apart))

@@ -6,7 +6,7 @@ from functools import cache
 import cv2
 import numpy as np
 from jaxtyping import Float, Float32, Float64
-from scipy.stats import chi2
+from scipy.special import chdtri
 
 from recon.surface.error_draws import standard_deviation
 from recon.surface.lateral_places import LateralPlaces
@@ -27,7 +27,7 @@ FEWEST_PLACES = 8
 # Windows about a pixel that tell together whether they hold; a straight crease leaves the vote where it is. By itself a window
 # is left only for residuals that hardly any noise leaves.
 VOTE_WINDOW_PX, FAR_MORE = 9, 1.5
-LARGEST_SQUARE = float(chi2.isf(REJECTED_SHARE, 1))
+LARGEST_SQUARE = float(chdtri(1, REJECTED_SHARE))
 # A window three pixels wide bends through a crease without a residual, but not without turning three of nine normals.
 CREASE_SHARE = 1 / 3 - 1e-6
 
@@ -203,7 +203,7 @@ def within_noise(beyond: ScalarMap) -> Mask:
 def _largest_share(most: int) -> Float64[np.ndarray, " counts"]:
     """Return the largest misfit over the expected one of a smooth window, by the places that it uses, 0 to ``most``."""
     freedom = INDEPENDENT_SHARE * np.maximum(np.arange(most + 1) - 6, 1)
-    return np.asarray(chi2.isf(REJECTED_WINDOWS, freedom) / freedom)
+    return np.asarray(chdtri(freedom, REJECTED_WINDOWS) / freedom)
 
 
 def against_own_normals(fitted: VectorMap, measured: VectorMap, measured_sd_rad: ScalarMap) -> Mask:

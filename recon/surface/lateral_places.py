@@ -6,7 +6,7 @@ from functools import cache
 
 import numpy as np
 from jaxtyping import Float16, Float64
-from scipy.stats import chi2
+from scipy.special import chdtri
 
 from recon.surface.ray_chords import Mask, ScalarMap, VectorMap
 from recon.surface.tiles import Part, inside, tiles
@@ -92,7 +92,7 @@ def lateral_places(
 @cache
 def _largest_misfit(half_width: int) -> Float64[np.ndarray, " freedoms"]:
     """Return the largest misfit of a smooth window, by its degrees of freedom, of which 0 is none."""
-    return np.concatenate([[0.0], chi2.isf(REJECTED_SHARE, np.arange(1, (2 * half_width + 1) ** 2 + 1))])
+    return np.concatenate([[0.0], chdtri(np.arange(1, (2 * half_width + 1) ** 2 + 1), REJECTED_SHARE)])
 
 
 def along_surface(

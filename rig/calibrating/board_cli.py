@@ -15,7 +15,6 @@ from rig.calibrating.calibration_steps import (
     with_board,
     with_own_noise,
 )
-from rig.calibrating.computation import compute_calibration
 from rig.calibrating.guide import Guide
 from rig.calibrating.kept_photos import CAMERA, DRY, WET
 from rig.calibrating.pose_capture import PREPARATIONS, needs_tank
@@ -135,6 +134,9 @@ def compute(
     ] = None,
 ) -> None:
     """Compute calibration.json again from the photos that DIR keeps; no device is needed."""
+    # Loads what compiles loops, which would slow every other command.
+    from rig.calibrating.computation import compute_calibration
+
     for part, names in ((CAMERA, leave_out_names), (DRY, leave_out_dry), (WET, leave_out_wet)):
         leave_out(folder, part, names or [])
     compute_calibration(folder, say)

@@ -13,7 +13,6 @@ from rig.calibrating.calibration_steps import (
     photos_at_positions,
     refuse_other_rig,
 )
-from rig.calibrating.computation import compute_calibration
 from rig.calibrating.kept_photos import DRY, WET
 from rig.calibrating.pose_capture import PREPARATIONS
 from rig.calibrating.response_step import DRIFT_MIN, RESPONSE_PREPARATIONS, measure_response
@@ -53,6 +52,9 @@ class Guide:
         self._response()
         self._lens()
         self._poses()
+        # Loads what compiles loops, which would slow every other command.
+        from rig.calibrating.computation import compute_calibration
+
         self._heading(4, "compute")
         compute_calibration(self.folder, self.say)
         self._heading(5, "check")

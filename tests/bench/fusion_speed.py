@@ -1,9 +1,10 @@
 """How long fusion takes, and how it grows with the pixels of the surface: a table of four sizes.
 
-python -m tests.bench.fusion_speed [--pixels 0.25 1 4 10] [--without-refinement] [--out speed.json]
+python -m tests.bench.fusion_speed [--pixels 0.25 1 4 10] [--threads 2] [--without-refinement] [--out speed.json]
 
 The surface is a ball's cap in closed form, met by converging rays, with Gaussian noise on distances (a hundredth of the ball's
-radius) and normals (0.3°). Every size has a process of its own, whose largest memory is told with it.
+radius) and normals (0.3°). As many threads as `recon run` would take share the work. Every size has a process of its own, whose
+largest memory is told with it.
 """
 
 import argparse
@@ -17,6 +18,7 @@ from pathlib import Path
 
 import numpy as np
 
+from recon.batch.cores import usable_cores
 from recon.stage_timer import peak_memory_mb
 from recon.surface.fusion import fuse_on_rays
 from recon.surface.refinement import refine_surface
@@ -53,7 +55,7 @@ def cap(pixels: float) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
     return point, point / RADIUS_MM, direction, mask
 
 
-def timed(pixels: float, *, with_refinement: bool) -> Timed:
+def timed(pixels: float, *, threads: int, with_refinement: bool) -> Timed:
     """Fuse a cap with noise, and refine it if asked."""
     point, normal, direction, mask = cap(pixels)
     rng = np.random.default_rng(1)
@@ -71,12 +73,13 @@ def timed(pixels: float, *, with_refinement: bool) -> Timed:
         measured,
         NORMAL_SD_RAD * ones,
         mask,
+        threads=threads,
     )
     middle, middle_cpu = time.perf_counter(), time.process_time()
     refinement_s = refinement_cpu_s = None
     if with_refinement:
         shift = np.broadcast_to(1e-4 * np.eye(3), (*mask.shape, 3, 3))
-        refine_surface(fused, direction, measured, NORMAL_SD_RAD * ones, shift)
+        refine_surface(fused, direction, measured, NORMAL_SD_RAD * ones, shift, threads=threads)
         refinement_s, refinement_cpu_s = time.perf_counter() - middle, time.process_time() - middle_cpu
     return Timed(
         megapixels=float(mask.sum()) / 1e6,
@@ -93,22 +96,32 @@ def main() -> None:
     """Time every size in a process of its own, and print a table."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--pixels", type=float, nargs="+", default=list(SIZES), metavar="MPX")
+    parser.add_argument("--threads", type=int, default=usable_cores())
     parser.add_argument("--without-refinement", action="store_true")
     parser.add_argument("--out", type=Path)
     parser.add_argument("--one", type=float, help=argparse.SUPPRESS)
     given = parser.parse_args()
     if given.one is not None:
         # The loops that are compiled when they are first called are no part of the time.
-        timed(FIRST_PIXELS, with_refinement=True)
-        print(json.dumps(asdict(timed(given.one * 1e6, with_refinement=not given.without_refinement))))
+        timed(FIRST_PIXELS, threads=given.threads, with_refinement=True)
+        row = timed(given.one * 1e6, threads=given.threads, with_refinement=not given.without_refinement)
+        print(json.dumps(asdict(row)))
         return
     rows: list[Timed] = []
     print(
-        "| Mpx | fusion (s) | CPU (s) | CPU s a Mpx | over n log n | refinement (s) | CPU s a Mpx | peak (GB) | error RMS (mm) |"
+        "| Mpx | fusion (s) | s a Mpx | CPU s a Mpx | over n log n | refinement (s) | CPU s a Mpx | peak (GB) | error RMS (mm) |"
     )
     print("|---|---|---|---|---|---|---|---|---|")
     for size in given.pixels:
-        command = [sys.executable, "-m", "tests.bench.fusion_speed", "--one", str(size)]
+        command = [
+            sys.executable,
+            "-m",
+            "tests.bench.fusion_speed",
+            "--one",
+            str(size),
+            "--threads",
+            str(given.threads),
+        ]
         command += ["--without-refinement"] if given.without_refinement else []
         ran = subprocess.run(command, check=True, capture_output=True, text=True)
         rows.append(Timed(**json.loads(ran.stdout)))
@@ -127,7 +140,7 @@ def _line(row: Timed, first: Timed) -> str:
     if row.refinement_s is not None and row.refinement_cpu_s is not None:
         refinement = f"{row.refinement_s:.1f} | {row.refinement_cpu_s / row.megapixels:.1f}"
     return (
-        f"| {row.megapixels:.2f} | {row.fusion_s:.1f} | {row.fusion_cpu_s:.1f} "
+        f"| {row.megapixels:.2f} | {row.fusion_s:.1f} | {row.fusion_s / row.megapixels:.1f} "
         f"| {row.fusion_cpu_s / row.megapixels:.1f} "
         f"| {over(row) / over(first):.2f} | {refinement} | {row.peak_gb:.1f} | {row.error_rms_mm:.4f} |"
     )

@@ -11,11 +11,11 @@ from report_example import example_manifest, example_maps, example_mesh, example
 from recon.errors import ReconError
 from recon.maps import Maps
 from recon.metrics import Verdict
-from recon.report import write_report
 from recon.report.numbers import LengthUnit
 from recon.report.page import render_page
 from recon.report.result_section import result_section
 from recon.report.run_section import device_banners, run_section
+from recon.report.writer import write_report
 from recon.status import REASONS, PixelStatus
 
 PANELS = (

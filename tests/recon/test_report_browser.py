@@ -7,7 +7,7 @@ import pytest
 from browser import SMALL_WORDS, ask, visit
 from report_example import example_manifest, example_maps, example_mesh, example_metrics
 
-from recon.report import write_report
+from recon.report.writer import write_report
 
 # Share of the canvas that is drawn on, and how many colours there are among the pixels drawn.
 LOOK = """

@@ -156,7 +156,7 @@ def test_the_how_to_shows_what_an_operator_reads(lab: Lab) -> None:
 
 
 def test_what_is_done_is_kept_and_said_when_the_guide_is_run_again(lab: Lab, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr("rig.calibrating.guide.compute_calibration", lambda folder, say: None)  # noqa: ARG005
+    monkeypatch.setattr("rig.calibrating.computation.compute_calibration", lambda folder, say: None)  # noqa: ARG005
     before = (lab.folder / "journal.jsonl").read_bytes()
     lab.said.clear()
     lab.guide()
