@@ -32,8 +32,8 @@ def coordinate_gradient(
 
     A plane u = u0 + g·(col, row) is fitted to 5 by 5 pixels about each, or to 15 by 15 where the smaller window sees only a
     few steps of the places; pixels far from their neighbours' median are left out. ``quantum_px`` is how coarse the places
-    may be: a step of the sweep is no outlier where pixels are finer than steps. Where an edge goes through the larger window, one
-    that has the pixel at its border or corner is taken, so that the gradient is that of the pixel's own side.
+    may be: a step of the sweep is no outlier where pixels are finer than steps. Where an edge goes through a window, one that has
+    the pixel at its border or corner is taken, so that the gradient is that of the pixel's own side.
     """
     rows, cols = place_px.shape
     gradient = np.full((rows, cols, 2), np.nan, dtype=np.float32)
@@ -67,15 +67,19 @@ def _tile_gradient(place_px: np.ndarray, valid: np.ndarray, *, quantum_px: float
     spread = cv2.medianBlur(off, WINDOW_PX)
     keep_near(value, np.ascontiguousarray(valid), median, spread, 2 * quantum_px, keep)
     planes = window_planes(value, keep, window_px=LARGE_WINDOW_PX)
-    slopes = planes[:2].copy()
+    slopes, cut = planes[:2].copy(), np.zeros(keep.shape, dtype=np.uint8)
     if has_edges(value, keep, quantum_px):
         edge = np.zeros(keep.shape, dtype=np.uint8)
         mark_edges(value, keep, quantum_px, edge)
         near = cv2.dilate(edge, np.ones((LARGE_WINDOW_PX, LARGE_WINDOW_PX), dtype=np.uint8))
         write_one_sided(value, keep, near, LARGE_WINDOW_PX // 2, planes, slopes)
+        mark_cut(value, keep, edge, slopes, quantum_px, cut)
     # Where the larger window has too few pixels, or all in one line, the smaller one has as well.
     if sees_steps_enough(planes, slopes, FEWEST_QUANTA * quantum_px):
-        take_smaller(slopes, planes, window_planes(value, keep, window_px=WINDOW_PX), FEWEST_QUANTA * quantum_px)
+        small = window_planes(value, keep, window_px=WINDOW_PX)
+        steeper = small[:2].copy()
+        write_one_sided(value, keep, cut, WINDOW_PX // 2, small, steeper)
+        take_smaller(slopes, planes, steeper, quantum_px)
     return slopes
 
 
@@ -121,11 +125,17 @@ def sees_steps_enough(planes: np.ndarray, slopes: np.ndarray, quanta: float) -> 
 
 
 @compiled
-def take_smaller(slopes: np.ndarray, planes: np.ndarray, small: np.ndarray, quanta: float) -> None:
-    """Take the slopes of the smaller windows that see so many quanta of the places."""
+def take_smaller(slopes: np.ndarray, planes: np.ndarray, small: np.ndarray, quantum: float) -> None:
+    """Take the slopes of the ``small`` windows that see enough quanta of the places.
+
+    Not where the larger window on the pixel's own side is flat and the smaller one says the same, which tells it less well.
+    """
     for row in range(np.uintp(slopes.shape[1])):
         for col in range(np.uintp(slopes.shape[2])):
-            if sees_steps(planes, slopes, row, col, quanta):
+            apart = abs(small[0, row, col] - slopes[0, row, col]) + abs(small[1, row, col] - slopes[1, row, col])
+            own = abs(slopes[0, row, col]) + abs(slopes[1, row, col])
+            flat = (own * WINDOW_PX < FEWEST_QUANTA * quantum) & (apart * WINDOW_PX < quantum)
+            if sees_steps(planes, slopes, row, col, FEWEST_QUANTA * quantum) & (not flat):
                 slopes[0, row, col], slopes[1, row, col] = small[0, row, col], small[1, row, col]
 
 
@@ -163,8 +173,36 @@ def mark_edges(value: np.ndarray, keep: np.ndarray, quantum: float, edge: np.nda
 
 
 @compiled
+def mark_cut(
+    value: np.ndarray, keep: np.ndarray, edge: np.ndarray, slopes: np.ndarray, quantum: float, cut: np.ndarray
+) -> None:
+    """Mark the pixels whose smaller window holds both sides of an edge that is none of a map which is merely steep.
+
+    There the places differ by more than the slopes at both pixels tell.
+    """
+    rows, cols = value.shape
+    half = WINDOW_PX // 2
+    for row in range(rows):
+        for col in range(cols):
+            if not (keep[row, col] and edge[row, col]):
+                continue
+            for step in range(1, EDGE_REACH_PX + 1):
+                for axis, r, c in ((0, row, col + step), (1, row + step, col)):
+                    if r < rows and c < cols and keep[r, c]:
+                        change = value[r, c] - value[row, col]
+                        off = min(abs(change - step * slopes[axis, row, col]), abs(change - step * slopes[axis, r, c]))
+                        if off > (step + 1) * quantum:
+                            cut[max(r - half, 0) : row + half + 1, max(c - half, 0) : col + half + 1] = 1
+
+
+@compiled
 def write_one_sided(
-    value: np.ndarray, keep: np.ndarray, near: np.ndarray, half: int, planes: np.ndarray, slopes: np.ndarray
+    value: np.ndarray,
+    keep: np.ndarray,
+    near: np.ndarray,
+    half: int,
+    planes: np.ndarray,
+    slopes: np.ndarray,
 ) -> None:
     """Write into ``slopes`` those of a window beside the pixel, wherever an edge goes through the one about it (``near``).
 
