@@ -19,13 +19,12 @@ from jaxtyping import Bool, Float, Float32, Float64, Int
 from recon.compiled import compiled
 from recon.patterns.sweep_frames import device_brightness
 from recon.sessions.manifest import StripePattern
+from recon.sweeps.edge_shifts import SPREAD_PX, told_to_others
 from recon.sweeps.map_bends import map_bends
 from recon.sweeps.noise import NoiseModel
 
 # Quadratic surfaces through so many pixels each way tell how the map bends: the larger window where it holds, else the smaller.
 WINDOWS_PX = (9, 5)
-# From a pixel with such a window its shift is told to others so far away.
-SPREAD_PX = 6
 # A footprint is cut into so many lines; one with more edges than these is left as it is.
 LINES = 8
 MOST_EDGES = 256
@@ -47,10 +46,12 @@ def centre_shifts(
     *,
     pattern: StripePattern,
     noise: NoiseModel,
-) -> tuple[SmallGrid, Mask]:
+) -> tuple[SmallGrid, Mask, SmallGrid]:
     """Return by how much places lie beside those of the pixels' centres, in device pixels, and where only neighbours tell so.
 
-    Beside an edge of the map no window holds; what the pixels next to it are off by is taken there, and is no surer than itself.
+    Beside an edge of the map no window holds; what the pixels next to it are off by is taken there. It is no surer than itself,
+    nor than what fading light and a bend move a place by there, which may be far more than farther in, where the one often
+    makes up for the other: the third map holds the standard deviation by both, 0 elsewhere.
 
     Parameters
     ----------
@@ -65,6 +66,7 @@ def centre_shifts(
     """
     rows, cols = place_px.shape
     shift, by_others = np.zeros(place_px.shape, np.float32), np.zeros(place_px.shape, dtype=bool)
+    doubt = np.zeros(place_px.shape, np.float32)
     margin, stripe = 2 * (max(WINDOWS_PX) // 2) + SPREAD_PX, Stripe.of(pattern, noise)
     for top in range(0, rows, BAND_ROWS):
         bottom = min(top + BAND_ROWS, rows)
@@ -79,11 +81,13 @@ def centre_shifts(
         part = slice(above, below), slice(columns[0], columns[-1] + 1)
         lit, there = lit[:, part[1]], np.ascontiguousarray(there[:, part[1]])
         place, sd = (np.where(there, one[part], 0).astype(np.float32) for one in (place_px, sd_px))
-        found, known = _shifts(place, sd, np.where(there, lit, np.float32(1)), there, stripe)
+        fading = np.log(np.where(there, lit, np.float32(1)))
+        found, known = _shifts(place, sd, fading, there, stripe)
         inner, own = slice(top - above, bottom - above), (slice(top, bottom), part[1])
-        by_others[own] = _told_to_others(found, known, there)[inner]
+        told, unsure = told_to_others(found, known, place, fading, there)
+        by_others[own], doubt[own] = told[inner], unsure[inner]
         shift[own] = found[inner]
-    return shift, by_others
+    return shift, by_others, doubt
 
 
 class Stripe(NamedTuple):
@@ -114,49 +118,19 @@ class Stripe(NamedTuple):
 
 
 def _shifts(
-    place: SmallGrid, sd_px: SmallGrid, light: SmallGrid, there: Mask, stripe: Stripe
+    place: SmallGrid, sd_px: SmallGrid, fading: SmallGrid, there: Mask, stripe: Stripe
 ) -> tuple[SmallGrid, Mask]:
-    """Return the shifts of the pixels whose surface is known, and which these are."""
+    """Return the shifts of the pixels whose surface is known, and which these are; ``fading`` is the logarithm of the light."""
+    light = np.exp(fading)
     shift, known = np.zeros(there.shape, np.float32), np.zeros(there.shape, dtype=bool)
     for window_px in WINDOWS_PX:
-        terms, holds = map_bends(place, sd_px, np.log(light), there, window_px=window_px)
+        terms, holds = map_bends(place, sd_px, fading, there, window_px=window_px)
         holds &= ~known
         numbers = np.flatnonzero(holds)
         flat = terms.reshape(len(terms), -1)
         _write_shifts(place.ravel(), light.ravel(), flat, numbers, *stripe, shift.ravel())
         known |= holds
     return shift, known
-
-
-def _told_to_others(shift: SmallGrid, known: Mask, there: Mask) -> Mask:
-    """Fill in the mean of the shifts beside pixels without one, from pixel to pixel; return which were filled in."""
-    told = known.copy()
-    others = np.flatnonzero(there & ~told)
-    for _ in range(SPREAD_PX):
-        means = np.full(len(others), np.nan, np.float32)
-        _write_means_beside(shift, told, others, means)
-        now = np.isfinite(means)
-        if not now.any():
-            break
-        shift.ravel()[others[now]], told.ravel()[others[now]] = means[now], True
-        others = others[~now]
-    return told & ~known
-
-
-@compiled
-def _write_means_beside(shift: np.ndarray, told: np.ndarray, pixels: np.ndarray, means: np.ndarray) -> None:
-    """Write the mean shift of the neighbours of some pixels that were told theirs, where there are any."""
-    rows, cols = told.shape
-    for number in range(len(pixels)):
-        row, col = pixels[number] // cols, pixels[number] % cols
-        count, total = 0, np.float32(0)
-        for near_row in range(max(row - 1, 0), min(row + 2, rows)):
-            for near_col in range(max(col - 1, 0), min(col + 2, cols)):
-                if told[near_row, near_col]:
-                    count += 1
-                    total += shift[near_row, near_col]
-        if count:
-            means[number] = total / np.float32(count)
 
 
 @compiled
