@@ -1,10 +1,12 @@
-"""How sure it is that several numbers are not all nought, said as one number of standard deviations."""
+"""How sure it is that several numbers are not all nought, said as one number of standard deviations.
+
+From the functions of SciPy themselves: its distributions take half a second to load.
+"""
 
 import numpy as np
 from jaxtyping import Float64
 from scipy.special import chdtrc, ndtri
 
-# Of SciPy the functions themselves: its distributions take half a second to load.
 SMALLEST_CHANCE = 1e-300  # below it the normal distribution's inverse is infinite; 37 sigma will do
 
 

@@ -161,7 +161,7 @@ def test_the_edge_takes_what_its_neighbours_are_moved_by_and_the_untrusted_stay(
     assert found[15, 23] == pytest.approx(0.04 / 24, rel=0.5)
     assert not found[:, 24:].any()
     assert not by_others[:, 24:].any()
-    # Its light does not fade; half of what the bend C = 0.04 may move it, C/24, is doubted on top of what it is moved by.
+    # Its light does not fade; twice what the bend C = 0.04 may move it, C/24, is doubted on top of what it is moved by.
     assert doubt[15, 23] == pytest.approx(np.hypot(found[15, 23], 0.04 / 12), rel=0.01)
     assert not doubt[~by_others].any()
 
