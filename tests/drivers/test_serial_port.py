@@ -130,10 +130,10 @@ def test_noise_that_never_ends_does_not_hold_up_resynchronisation(server: WireSe
         thread.start()
         try:
             started_s = time.monotonic()
-            assert b"\xff\x00" in port.resynchronise(quiet_s=1.0, deadline_s=deadline_after(0.3))
-            assert time.monotonic() - started_s < 5.0
-            assert b"\xff\x00" in port.flush_input()
-            assert time.monotonic() - started_s < 5.0
+            # Each call must end by itself; which of them meets noise is for the machine's scheduler to say.
+            wait_for(lambda: b"\xff\x00" in port.resynchronise(quiet_s=1.0, deadline_s=deadline_after(0.3)))
+            wait_for(lambda: b"\xff\x00" in port.flush_input())
+            assert time.monotonic() - started_s < 2 * IN_TIME_S
         finally:
             babbling.set()
             thread.join()
