@@ -46,12 +46,12 @@ def centre_shifts(
     *,
     pattern: StripePattern,
     noise: NoiseModel,
-) -> tuple[SmallGrid, Mask, SmallGrid]:
-    """Return by how much places lie beside those of the pixels' centres, in device pixels, and where only neighbours tell so.
+) -> tuple[SmallGrid, SmallGrid]:
+    """Return by how much places lie beside those of the pixels' centres, in device pixels, and how unsure that is.
 
     Beside an edge of the map no window holds; what the pixels next to it are off by is taken there. It is no surer than itself,
     nor than what fading light and a bend move a place by there, which may be far more than farther in, where the one often
-    makes up for the other: the third map holds the standard deviation by both, 0 elsewhere.
+    makes up for the other: the second map holds the standard deviation by both, 0 elsewhere.
 
     Parameters
     ----------
@@ -65,8 +65,7 @@ def centre_shifts(
         The noise by which the samples were weighed.
     """
     rows, cols = place_px.shape
-    shift, by_others = np.zeros(place_px.shape, np.float32), np.zeros(place_px.shape, dtype=bool)
-    doubt = np.zeros(place_px.shape, np.float32)
+    shift, doubt = np.zeros((2, *place_px.shape), np.float32)
     margin, stripe = 2 * (max(WINDOWS_PX) // 2) + SPREAD_PX, Stripe.of(pattern, noise)
     for top in range(0, rows, BAND_ROWS):
         bottom = min(top + BAND_ROWS, rows)
@@ -84,10 +83,9 @@ def centre_shifts(
         fading = np.log(np.where(there, lit, np.float32(1)))
         found, known = _shifts(place, sd, fading, there, stripe)
         inner, own = slice(top - above, bottom - above), (slice(top, bottom), part[1])
-        told, unsure = told_to_others(found, known, place, fading, there)
-        by_others[own], doubt[own] = told[inner], unsure[inner]
-        shift[own] = found[inner]
-    return shift, by_others, doubt
+        unsure = told_to_others(found, known, place, fading, there)
+        shift[own], doubt[own] = found[inner], unsure[inner]
+    return shift, doubt
 
 
 class Stripe(NamedTuple):

@@ -17,8 +17,8 @@ Mask = Bool[np.ndarray, "rows cols"]
 
 def told_to_others(
     shift: SmallGrid, known: Mask, place: SmallGrid, fading: SmallGrid, there: Mask
-) -> tuple[Mask, SmallGrid]:
-    """Fill in the mean of the shifts beside pixels without one, from pixel to pixel; return which these are, and their sd."""
+) -> SmallGrid:
+    """Fill in the mean of the shifts beside pixels without one, from pixel to pixel; return the sd of these, 0 elsewhere."""
     told, doubt = known.copy(), np.zeros(known.shape, np.float32)
     others = np.flatnonzero(there & ~told)
     for _ in range(SPREAD_PX):
@@ -30,7 +30,7 @@ def told_to_others(
         shift.ravel()[others[now]], told.ravel()[others[now]] = means[now], True
         doubt.ravel()[others[now]] = np.hypot(means[now], doubts[now])
         others = others[~now]
-    return told & ~known, doubt
+    return doubt
 
 
 @compiled

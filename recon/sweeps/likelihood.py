@@ -111,11 +111,9 @@ def places_by_likelihood(
     place_px, sd_px = told_by_neighbours(place_px, sd_px, trusted=trusted, reach_px=reach_map_px)
     del reach_map_px
     if not continuous:
-        shift_px, by_others, doubt_px = centre_shifts(
-            place_px, sd_px, trusted, pixels, light, pattern=pattern, noise=fits.noise
-        )
+        shift_px, doubt_px = centre_shifts(place_px, sd_px, trusted, pixels, light, pattern=pattern, noise=fits.noise)
         place_px -= shift_px
-        sd_px[by_others] = np.hypot(sd_px[by_others], doubt_px[by_others])
+        np.hypot(sd_px, doubt_px, out=sd_px)
     return LikelihoodPlaces(
         place_px=place_px,
         sd_px=sd_px,

@@ -21,8 +21,8 @@ SWEEP_REASONS = (
     PixelStatus.SWEEP_EDGE,
 )
 # Compiled loops know numbers alone.
-OK, UNLIT, TWO_PATHS, HALF_SEEN, PARTLY_LIT = (
-    np.uint8(getattr(PixelStatus, name)) for name in ("OK", "UNLIT", "TWO_PATHS", "HALF_SEEN", "PARTLY_LIT")
+OK, UNLIT, TWO_PATHS, PARTLY_LIT = (
+    np.uint8(getattr(PixelStatus, name)) for name in ("OK", "UNLIT", "TWO_PATHS", "PARTLY_LIT")
 )
 AXES: tuple[Axis, Axis] = ("x", "y")
 # What is made of so many pixels is small beside the maps of a large photo.
@@ -116,16 +116,13 @@ def combined_status(sweeps: SweepResults, sets: Sequence[CaptureSet]) -> UInt8[n
 
 @compiled
 def _combine(every: np.ndarray, rank: np.ndarray, status: np.ndarray) -> None:
-    """Write what the sweeps of all sets say together, two of ``every`` a set; a higher ``rank`` explains more, 0 nothing.
-
-    A pixel is half seen where both sweeps of a set say so: they measure the same light.
-    """
+    """Write what the sweeps of all sets say together; a higher ``rank`` explains more, 0 nothing."""
     for pixel in range(len(status)):
         most, reason, unlit = 0, OK, 0
         for sweep in range(len(every)):
             one = every[sweep, pixel]
             unlit += one == UNLIT
-            if rank[one] > most and (one != HALF_SEEN or every[sweep ^ 1, pixel] == HALF_SEEN):
+            if rank[one] > most:
                 most, reason = rank[one], one
         if unlit > 0:
             reason = UNLIT if unlit == len(every) else PARTLY_LIT
