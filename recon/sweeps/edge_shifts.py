@@ -15,9 +15,7 @@ SmallGrid = Float32[np.ndarray, "rows cols"]
 Mask = Bool[np.ndarray, "rows cols"]
 
 
-def told_to_others(
-    shift: SmallGrid, known: Mask, place: SmallGrid, fading: SmallGrid, there: Mask
-) -> SmallGrid:
+def told_to_others(shift: SmallGrid, known: Mask, place: SmallGrid, fading: SmallGrid, there: Mask) -> SmallGrid:
     """Fill in the mean of the shifts beside pixels without one, from pixel to pixel; return the sd of these, 0 elsewhere."""
     told, doubt = known.copy(), np.zeros(known.shape, np.float32)
     others = np.flatnonzero(there & ~told)
