@@ -4,7 +4,7 @@ Residuals are corners (:mod:`recon.calibration.sighting`: measured less predicte
 (what is known beforehand, each over its sd), so that the inverse of JᵀJ is the covariance.
 """
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -26,12 +26,13 @@ FEWEST_CORNERS = 8
 class Constraint:
     """What is known beforehand.
 
-    ``misses`` makes of a state the numbers that would be 0 if all were as known, each over its standard deviation; ``parts``
-    names the parts of the state that they depend on.
+    ``misses`` makes of a state the numbers that would be 0 if all were as known, each over its standard deviation;
+    ``derivatives`` are theirs by the numbers of each part of the state that they depend on, as :class:`ParameterTable` lays
+    these out.
     """
 
     misses: Callable[[BundleState], Float64[np.ndarray, " _"]]
-    parts: tuple[str, ...]
+    derivatives: Callable[[BundleState], Mapping[str, Float64[np.ndarray, "_ numbers"]]]
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -145,21 +146,17 @@ class _Problem:
     def jacobian(self, step: np.ndarray) -> np.ndarray:
         here = self.table.moved(self.state, step)
         by_corner = corner_derivatives(here, self.corners, self.table, media=self.media)[self.kept] / self.corner_sd_px
-        return np.vstack([by_corner.reshape(-1, self.table.count), *self._constraint_derivatives(here)])
+        return np.vstack([by_corner.reshape(-1, self.table.count), self._constraint_derivatives(here)])
 
-    def _constraint_derivatives(self, here: BundleState) -> list[np.ndarray]:
-        """Return the central differences of each constraint by the numbers that it depends on."""
-        out = [np.zeros((len(one.misses(here)), self.table.count)) for one in self.constraints]
-        for name, part in self.table.parts.items():
-            touched = [k for k, one in enumerate(self.constraints) if name in one.parts]
-            for number in range(part.start, part.stop) if touched else ():
-                nudge = np.zeros(self.table.count)
-                nudge[number] = self.table.nudge[number]
-                ahead, behind = self.table.moved(here, nudge), self.table.moved(here, -nudge)
-                for k in touched:
-                    misses = self.constraints[k].misses
-                    out[k][:, number] = (misses(ahead) - misses(behind)) / (2 * nudge[number])
-        return out
+    def _constraint_derivatives(self, here: BundleState) -> np.ndarray:
+        rows = [np.zeros((0, self.table.count))]
+        for constraint in self.constraints:
+            of_one = np.zeros((len(constraint.misses(here)), self.table.count))
+            for name, by_part in constraint.derivatives(here).items():
+                if name in self.table.parts:
+                    of_one[:, self.table.part(name)] = by_part
+            rows.append(of_one)
+        return np.vstack(rows)
 
 
 def _solved(problem: _Problem) -> OptimizeResult:

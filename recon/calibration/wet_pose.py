@@ -138,15 +138,12 @@ def wet_poses(
         panels[WET_PANELS[position]] = panels[AIR_PANELS[position]]
         constraints.append(slipped_little(AIR_PANELS[position], WET_PANELS[position], sd=may_slip))
         sightings += [Sighting(view, WET_PANELS[position], wet=True) for view in wet_views[position]]
+    begin = BundleState(dry.state.lens, panels, start, dry.state.glass_mm, dry.state.scale)
+    told = {part for one in known for part in one.derivatives(begin)}
     return adjust(
-        BundleState(dry.state.lens, panels, start, dry.state.glass_mm, dry.state.scale),
+        begin,
         sightings,
-        freedom=Freedom(
-            lens=True,
-            liquid=True,
-            glass=any(GLASS in one.parts for one in known),
-            scale=any(SCALE in one.parts for one in known),
-        ),
+        freedom=Freedom(lens=True, liquid=True, glass=GLASS in told, scale=SCALE in told),
         media=Media(n_air=n_air, n_liquid=n_liquid, n_glass=cover_glass.n if cover_glass else 1.0),
         constraints=constraints,
         corner_sd_px=dry.corner_sd_px,
