@@ -24,6 +24,7 @@ WIDEST_PX = 48.0
 IMAGE_SAMPLES = 4
 
 BAND_RAYS = 1 << 17
+IMAGE_ROWS = 16
 
 
 def local_slopes(place_px: Grid, route: Int64[np.ndarray, "rows columns"]) -> tuple[Grid, Grid]:
@@ -189,15 +190,21 @@ def image_light(
     offsets, column_slopes, row_slopes = _sample_places(places)
     fine_rows, fine_columns = places.column_px.shape
     total = np.zeros((fine_rows, fine_columns), np.float32)
-    column = np.nan_to_num(places.column_px, nan=-9.0)
-    row = np.nan_to_num(places.row_px, nan=-9.0)
-    for across, down in offsets:
-        # 1.5: half a pixel to round, one for the dark frame round the panel.
-        x = column + across * column_slopes[0] + down * column_slopes[1] + 1.5
-        y = row + across * row_slopes[0] + down * row_slopes[1] + 1.5
-        x = np.clip(x, 0, device_columns + 1).astype(np.int32)
-        y = np.clip(y, 0, device_rows + 1).astype(np.int32)
-        total += padded[y, x]
+    # A few rows at a time stay near the core.
+    for start in range(0, fine_rows, IMAGE_ROWS):
+        band = slice(start, start + IMAGE_ROWS)
+        column = np.nan_to_num(places.column_px[band], nan=-9.0)
+        row = np.nan_to_num(places.row_px[band], nan=-9.0)
+        (column_across, column_down), (row_across, row_down) = (
+            (one[0][band], one[1][band]) for one in (column_slopes, row_slopes)
+        )
+        for across, down in offsets:
+            # 1.5: half a pixel to round, one for the dark frame round the panel.
+            x = column + across * column_across + down * column_down + 1.5
+            y = row + across * row_across + down * row_down + 1.5
+            x = np.clip(x, 0, device_columns + 1).astype(np.int32)
+            y = np.clip(y, 0, device_rows + 1).astype(np.int32)
+            total[band] += padded[y, x]
     total *= places.transmission / len(offsets)
     fold = supersampling
     return total.reshape(fine_rows // fold, fold, fine_columns // fold, fold).mean(axis=(1, 3))
