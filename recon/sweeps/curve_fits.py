@@ -17,7 +17,7 @@ from recon.sweeps.peak_noise import beside_peak_variance, lone_peak_variance
 from recon.sweeps.stripe_fit import PIXELS_A_BLOCK, StripeFit, WidthPrior, fit_stripe
 from recon.sweeps.stripe_model import LARGEST_MISFIT
 from recon.sweeps.two_paths import TwoPaths, two_paths
-from recon.sweeps.width_prior import GRADIENT_SD, Footprints, NeighbourWidths, known_prior, neighbour_widths
+from recon.sweeps.width_prior import EVEN_SD, GRADIENT_SD, Footprints, NeighbourWidths, known_prior, neighbour_widths
 
 # Every third pixel in each direction tells noise and widths of all.
 LATTICE_PX = 3
@@ -93,7 +93,7 @@ def prepared_fits(
 ) -> CurveFits:
     """Learn noise, blur and widths from an even lattice of the pixels."""
     black = curves.black.reshape(grid)
-    box_px = _boxes(curves, curve_centres(curves, pixels, grid=grid), pixels)
+    box_px, box_sd = _boxes(curves, curve_centres(curves, pixels, grid=grid), pixels)
     some, spacing = _lattice(pixels, grid)
     few = slice(None, None, max(len(some) // NOISE_PIXELS, 1))
     dark_variance = max(dark_variance, beside_peak_variance(curves.windows, curves.black) or 0.0)
@@ -101,8 +101,8 @@ def prepared_fits(
     lone = lone_peak_variance(curves.windows, black, clipped=curves.clipped, dark_variance=dark_variance)
     # What is taken for blur depends on the noise, and what for noise on the blur: twice round is enough.
     for of in (some[few], some):
-        footprints = Footprints(box_px, _common_blur_px(curves, pixels, box_px, noise=noise))
-        prior = known_prior(footprints.some(of), sd=GRADIENT_SD)
+        footprints = Footprints(box_px, box_sd, _common_blur_px(curves, pixels, box_px, noise=noise))
+        prior = known_prior(footprints.some(of))
         fit = fit_stripe(curves, pixels[of], prior, noise=noise)
         told = few if of is some else slice(None)
         noise = _noise(
@@ -130,9 +130,9 @@ def _common_blur_px(curves: SweepCurves, pixels: np.ndarray, box_px: np.ndarray,
     blurs = np.concatenate([[SHARP_PX * unit], ladder])
     if len(some) == 0:
         return float(blurs[0])
-    misfit = []
+    misfit, sure = [], np.zeros(len(some), np.float32)
     for blur in blurs:
-        prior = known_prior(Footprints(box_px[some], float(blur)), sd=0.01)
+        prior = known_prior(Footprints(box_px[some], sure, float(blur)), sd=0.01)
         fit = fit_stripe(curves, pixels[some], prior, noise=noise)
         # The logarithm keeps curves that no blur explains from deciding.
         misfit.append(float(np.log1p(fit.chi_square / fit.freedom).sum()))
@@ -143,18 +143,18 @@ def _common_blur_px(curves: SweepCurves, pixels: np.ndarray, box_px: np.ndarray,
 
 def _boxes(
     curves: SweepCurves, place_px: Float32[np.ndarray, "rows cols"], pixels: np.ndarray
-) -> Float32[np.ndarray, "pixels 2"]:
-    """Return the widths of the two boxes of each listed pixel's footprint, from the gradient of the map of places."""
+) -> tuple[Float32[np.ndarray, "pixels 2"], Float32[np.ndarray, " pixels"]]:
+    """Return the widths of the two boxes of each listed pixel's footprint, from the map's gradient, and their relative sd."""
     table = curves.table
     quantum_px = table.pattern.step_px if table.continuous else max(table.pattern.step_px, 1.0)
-    gradient = coordinate_gradient(place_px, np.isfinite(place_px), quantum_px=quantum_px)
+    gradient, even = coordinate_gradient(place_px, np.isfinite(place_px), quantum_px=quantum_px)
     widths, known = np.empty((len(pixels), 2), dtype=gradient.dtype), np.empty(len(pixels), dtype=bool)
     write_widths(pixels, gradient.reshape(-1, 2), widths, known)
     if not known.all():
         few = np.flatnonzero(known)
         few = few[:: max(len(few) // MEDIAN_PIXELS, 1)]
         widths[~known] = np.median(widths[few], axis=0) if len(few) else 0.5
-    return widths
+    return widths, np.where(even.ravel()[pixels], EVEN_SD, GRADIENT_SD)
 
 
 @compiled

@@ -13,6 +13,9 @@ WINDOW_PX = 5
 # Where a small window spans less than this many quanta of the places it sees their steps; a larger one is taken.
 LARGE_WINDOW_PX = 15
 FEWEST_QUANTA = 2.5
+# Where a plane through the larger window leaves less than that (rms, in quanta) the map is even, and that window is taken up to
+# twice as many: quanta draw the slopes of small windows by a tenth, those of large ones by a hundredth.
+EVEN_QUANTA, LARGEST_LEFT = 5.0, 0.35
 # Pixels whose places are more than so many times the usual distance from their neighbours' median are left out.
 LARGEST_SPREADS = 6
 # Maps are gone through tile by tile, each with what its pixels' own neighbours see: two medians and the large window.
@@ -27,16 +30,17 @@ FAR_LESS = 0.25
 
 def coordinate_gradient(
     place_px: Float[np.ndarray, "rows cols"], valid: Bool[np.ndarray, "rows cols"], *, quantum_px: float
-) -> Float32[np.ndarray, "rows cols 2"]:
+) -> tuple[Float32[np.ndarray, "rows cols 2"], Bool[np.ndarray, "rows cols"]]:
     """Return (du/dcol, du/drow) of a coordinate map by least squares over valid neighbours; NaN where too few.
 
     A plane u = u0 + g·(col, row) is fitted to 5 by 5 pixels about each, or to 15 by 15 where the smaller window sees only a
-    few steps of the places; pixels far from their neighbours' median are left out. ``quantum_px`` is how coarse the places
+    few steps of the places; beside it, where such a large window tells it and the map is even over all of that. Pixels far from
+    their neighbours' median are left out. ``quantum_px`` is how coarse the places
     may be: a step of the sweep is no outlier where pixels are finer than steps. Where an edge goes through a window, one that has
     the pixel at its border or corner is taken, so that the gradient is that of the pixel's own side.
     """
     rows, cols = place_px.shape
-    gradient = np.full((rows, cols, 2), np.nan, dtype=np.float32)
+    gradient, even = np.full((rows, cols, 2), np.nan, dtype=np.float32), np.zeros((rows, cols), dtype=bool)
     for top, left in product(range(0, rows, TILE_PX), range(0, cols, TILE_PX)):
         bottom, right = min(top + TILE_PX, rows), min(left + TILE_PX, cols)
         # A tile sees the neighbours of its own neighbours, so that it is none the worse for being one.
@@ -45,9 +49,10 @@ def coordinate_gradient(
         if not _some_window_tells(valid[part]):
             continue
         inner = (slice(top - above, bottom - above), slice(left - before, right - before))
-        for number, slopes in enumerate(_tile_gradient(place_px[part], valid[part], quantum_px=quantum_px)):
-            gradient[top:bottom, left:right, number] = slopes[inner]
-    return gradient
+        slopes, level = _tile_gradient(place_px[part], valid[part], quantum_px=quantum_px)
+        gradient[top:bottom, left:right] = np.moveaxis(slopes, 0, -1)[inner]
+        even[top:bottom, left:right] = level[inner]
+    return gradient, even
 
 
 def _some_window_tells(valid: Bool[np.ndarray, "rows cols"]) -> bool:
@@ -59,7 +64,9 @@ def _some_window_tells(valid: Bool[np.ndarray, "rows cols"]) -> bool:
     return int(number.max()) >= FEWEST_NEIGHBOURS
 
 
-def _tile_gradient(place_px: np.ndarray, valid: np.ndarray, *, quantum_px: float) -> Float64[np.ndarray, "2 rows cols"]:
+def _tile_gradient(
+    place_px: np.ndarray, valid: np.ndarray, *, quantum_px: float
+) -> tuple[Float64[np.ndarray, "2 rows cols"], Bool[np.ndarray, "rows cols"]]:
     filled = np.where(valid, place_px, place_px.dtype.type(0))
     median = cv2.medianBlur(filled.astype(np.float32, copy=False), WINDOW_PX)
     value, off, keep = filled.astype(np.float64), np.empty_like(median), np.empty(valid.shape, dtype=bool)
@@ -68,6 +75,7 @@ def _tile_gradient(place_px: np.ndarray, valid: np.ndarray, *, quantum_px: float
     keep_near(value, np.ascontiguousarray(valid), median, spread, 2 * quantum_px, keep)
     planes = window_planes(value, keep, window_px=LARGE_WINDOW_PX)
     slopes, cut = planes[:2].copy(), np.zeros(keep.shape, dtype=np.uint8)
+    even = planes[3] <= (LARGEST_LEFT * quantum_px) ** 2
     if has_edges(value, keep, quantum_px):
         edge = np.zeros(keep.shape, dtype=np.uint8)
         mark_edges(value, keep, quantum_px, edge)
@@ -79,8 +87,8 @@ def _tile_gradient(place_px: np.ndarray, valid: np.ndarray, *, quantum_px: float
         small = window_planes(value, keep, window_px=WINDOW_PX)
         steeper = small[:2].copy()
         write_one_sided(value, keep, cut, WINDOW_PX // 2, small, steeper)
-        take_smaller(slopes, planes, steeper, quantum_px)
-    return slopes
+        take_smaller(slopes, planes, steeper, quantum_px, even)
+    return slopes, even
 
 
 @compiled
@@ -125,18 +133,21 @@ def sees_steps_enough(planes: np.ndarray, slopes: np.ndarray, quanta: float) -> 
 
 
 @compiled
-def take_smaller(slopes: np.ndarray, planes: np.ndarray, small: np.ndarray, quantum: float) -> None:
-    """Take the slopes of the ``small`` windows that see enough quanta of the places.
+def take_smaller(slopes: np.ndarray, planes: np.ndarray, small: np.ndarray, quantum: float, even: np.ndarray) -> None:
+    """Take the slopes of the ``small`` windows that see enough quanta of the places, which are ``even`` by no larger one then.
 
-    Not where the larger window on the pixel's own side is flat and the smaller one says the same, which tells it less well.
+    Not where the larger window on the pixel's own side is flat and the smaller one says the same, which tells it less well, nor
+    where the map is even.
     """
     for row in range(np.uintp(slopes.shape[1])):
         for col in range(np.uintp(slopes.shape[2])):
             apart = abs(small[0, row, col] - slopes[0, row, col]) + abs(small[1, row, col] - slopes[1, row, col])
             own = abs(slopes[0, row, col]) + abs(slopes[1, row, col])
             flat = (own * WINDOW_PX < FEWEST_QUANTA * quantum) & (apart * WINDOW_PX < quantum)
-            if sees_steps(planes, slopes, row, col, FEWEST_QUANTA * quantum) & (not flat):
+            better = flat | (even[row, col] & (own * WINDOW_PX < EVEN_QUANTA * quantum))
+            if sees_steps(planes, slopes, row, col, FEWEST_QUANTA * quantum) & (not better):
                 slopes[0, row, col], slopes[1, row, col] = small[0, row, col], small[1, row, col]
+                even[row, col] = False
 
 
 @compiled

@@ -27,7 +27,7 @@ def test_a_pixel_of_the_last_block_is_found_like_one_of_the_first() -> None:
 
 def test_a_plane_has_the_same_slopes_on_both_sides_of_a_tile() -> None:
     row, col = np.mgrid[: TILE_PX + 40, : TILE_PX + 40].astype(np.float64)
-    gradient = coordinate_gradient(100 + 0.3 * col - 0.2 * row, np.ones(row.shape, bool), quantum_px=0.01)
+    gradient, _ = coordinate_gradient(100 + 0.3 * col - 0.2 * row, np.ones(row.shape, bool), quantum_px=0.01)
     np.testing.assert_allclose(gradient, np.broadcast_to([0.3, -0.2], gradient.shape), atol=1e-6)
 
 
@@ -36,7 +36,7 @@ def test_a_small_patch_in_the_dark_has_slopes_and_pixels_that_noise_lit_have_non
     patch = (row >= 100) & (row < 107) & (col >= 60) & (col < 67)
     # Each alone in its window, in the tile of the patch and in the one beside it.
     lone = (row % 40 == 20) & (col % 40 == 20) & ~patch
-    gradient = coordinate_gradient(100 + 0.3 * col - 0.2 * row, patch | lone, quantum_px=0.01)
+    gradient, _ = coordinate_gradient(100 + 0.3 * col - 0.2 * row, patch | lone, quantum_px=0.01)
     np.testing.assert_allclose(gradient[103, 63], [0.3, -0.2], atol=1e-6)
     assert np.isnan(gradient[lone & (np.hypot(row - 103, col - 63) > 20)]).all()
 
@@ -48,7 +48,7 @@ def test_a_slope_beside_an_edge_is_that_of_the_pixels_own_side(jump_px: float) -
     beyond = col + 0.5 * row > 45
     slopes = np.where(beyond[..., None], [0.261, 0.121], [0.389, -0.051])
     place = np.where(beyond, 80 + jump_px + 0.261 * col + 0.121 * row, 80 + 0.389 * col - 0.051 * row)
-    gradient = coordinate_gradient(np.rint(place), np.ones(place.shape, bool), quantum_px=1.0)
+    gradient, _ = coordinate_gradient(np.rint(place), np.ones(place.shape, bool), quantum_px=1.0)
     from_edge_px = np.abs(col + 0.5 * row - 45) / np.hypot(1, 0.5)
     inside = (np.minimum(row, col) >= 7) & (np.maximum(row, col) < 53)
     off = np.abs(np.linalg.norm(gradient, axis=2) / np.linalg.norm(slopes, axis=2) - 1)
@@ -63,7 +63,7 @@ def test_no_window_of_few_pixels_on_one_step_tells_the_slope_at_a_rim() -> None:
     beyond = col + 0.5 * row > 45
     place = np.where(beyond, 71 + 0.261 * col + 0.121 * row, 80 + 0.389 * col - 0.051 * row)
     seen = np.hypot(row - 29, col - 30) < 13
-    gradient = coordinate_gradient(np.rint(place), seen, quantum_px=1.0)
+    gradient, _ = coordinate_gradient(np.rint(place), seen, quantum_px=1.0)
     level = np.linalg.norm(gradient, axis=2) < 0.02
     from_edge_px = np.abs(col + 0.5 * row - 45) / np.hypot(1, 0.5)
     assert not level[seen & (from_edge_px > 3)].any()
@@ -71,7 +71,7 @@ def test_no_window_of_few_pixels_on_one_step_tells_the_slope_at_a_rim() -> None:
 
 def test_a_slope_of_a_map_that_bends_is_that_of_the_pixel() -> None:
     row, col = np.mgrid[:40, :60].astype(np.float64)
-    gradient = coordinate_gradient(50 + 0.02 * (col - 30) ** 2 + 0.1 * row, np.ones(row.shape, bool), quantum_px=1.0)
+    gradient, _ = coordinate_gradient(50 + 0.02 * (col - 30) ** 2 + 0.1 * row, np.ones(row.shape, bool), quantum_px=1.0)
     np.testing.assert_allclose(gradient[10:30, 15:46, 0], np.tile(0.04 * (np.arange(15, 46) - 30), (20, 1)), atol=1e-6)
 
 
@@ -79,7 +79,7 @@ def test_a_map_that_is_steep_is_no_edge() -> None:
     row, col = np.mgrid[:40, :60].astype(np.float64)
     # Up to six whole places from pixel to pixel.
     place = np.rint(500 - 60 * np.sqrt(70 - col) + 0.1 * row)
-    gradient = coordinate_gradient(place, np.ones(row.shape, bool), quantum_px=1.0)
+    gradient, _ = coordinate_gradient(place, np.ones(row.shape, bool), quantum_px=1.0)
     np.testing.assert_allclose(
         gradient[10:30, 8:58, 0], np.tile(30 / np.sqrt(70 - np.arange(8, 58)), (20, 1)), rtol=0.05
     )
@@ -121,3 +121,21 @@ def test_noise_lights_one_dark_pixel_in_a_thousand_though_black_is_of_photos_too
     lit = np.count_nonzero(np.any([photo() > floor for _ in range(300)], axis=0))
     # 4.5 sd are passed by 3.4 normal samples of a million; whole counts make the floor up to a quarter of an sd higher.
     assert 300 * 1.1e-6 < lit / floor.size < 300 * 3.6e-6
+
+
+def test_whole_display_pixels_draw_no_slope_of_an_even_map() -> None:
+    row, col = np.mgrid[:60, :60].astype(np.float64)
+    place = 20 + 0.62 * col + 0.17 * row
+    gradient, even = coordinate_gradient(np.rint(place), np.ones(place.shape, bool), quantum_px=1.0)
+    inner = np.s_[8:-8, 8:-8]
+    assert even[inner].all()
+    off = np.linalg.norm(gradient, axis=2) / np.hypot(0.62, 0.17) - 1
+    # A rounded place is off by 1/√12; over 15 columns of 15 pixels a slope by that / √(15 · 15 · (15² - 1) / 12).
+    assert np.sqrt((off[inner] ** 2).mean()) < 2 / np.sqrt(12 * 15 * 15 * (15**2 - 1) / 12) / 0.62
+
+
+def test_a_map_that_bends_is_not_called_even() -> None:
+    row, col = np.mgrid[:60, :80].astype(np.float64)
+    place = 50 + 0.04 * (col - 30) ** 2 + 0.1 * row
+    _, even = coordinate_gradient(np.rint(place), np.ones(place.shape, bool), quantum_px=1.0)
+    assert not even.any()

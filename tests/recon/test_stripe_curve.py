@@ -147,7 +147,9 @@ def fitted(
     """Fit with footprints that are known but for their width, known to ``width_sd``."""
     pixels = np.arange(len(windows.peak_index), dtype=np.int64)
     table = curve_table(pattern, half_width=windows.half_width, continuous=continuous)
-    prior = known_prior(Footprints(np.tile(np.array(widths), (len(pixels), 1)), 0.02), sd=width_sd)
+    prior = known_prior(
+        Footprints(np.tile(np.array(widths), (len(pixels), 1)), np.zeros(len(pixels), np.float32), 0.02), sd=width_sd
+    )
     return fit_stripe(SweepCurves(windows, table, black, clipped), pixels, prior, noise=noise)
 
 
@@ -285,7 +287,7 @@ def looked_up_curve(
 ) -> tuple[np.ndarray, np.ndarray]:
     """Return value and slope of the stepped curve about stripe 30."""
     table = curve_table(pattern, half_width=6, continuous=False)
-    prior = known_prior(Footprints(np.array([widths]), 0.0), sd=0.1)
+    prior = known_prior(Footprints(np.array([widths]), np.zeros(1, np.float32), 0.0), sd=0.1)
     samples = CurveSamples(np.zeros((1, 13), np.float32), np.ones((1, 13), bool), np.array([30]), np.array([30.0]))
     value, slope, _ = looked_up(samples, np.array([centre]), prior.log_width, shape=prior.shape, table=table)
     return value[0], slope[0]

@@ -40,7 +40,9 @@ def swept(paths: list[Path], pattern: StripePattern, *, seed: int, pixels: int =
 
 def prior_of(curves: SweepCurves) -> WidthPrior:
     """Return what neighbours would say of a Gaussian footprint."""
-    return known_prior(Footprints(np.zeros((len(curves.black), 2)), FOOTPRINT_PX), sd=0.15)
+    return known_prior(
+        Footprints(np.zeros((len(curves.black), 2)), np.zeros(len(curves.black), np.float32), FOOTPRINT_PX), sd=0.15
+    )
 
 
 def found(curves: SweepCurves) -> TwoPaths:
