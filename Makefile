@@ -8,8 +8,9 @@ SHELL := /bin/bash
 # The first of these that is Python 3.11 or newer builds the virtual environment; `make PYTHON=… setup` chooses.
 PYTHON ?= $(shell for p in python3 python3.13 python3.12 python3.11; do \
 	"$$p" -c 'import sys; sys.exit(sys.version_info < (3, 11))' 2>/dev/null && { echo "$$p"; break; }; done)
-# Many tests wait for a device or a browser: one process more than there are cores keeps these busy.
-PYTEST_FLAGS ?= -n $(shell echo $$(( $$(nproc) < 3 ? $$(nproc) + 1 : 4 )))
+# Many tests wait for a device or a browser: one process more than there are cores keeps these busy. Each begins with a stretch of
+# the list of its own, so that what a module prepares is seldom prepared twice.
+PYTEST_FLAGS ?= -n $(shell echo $$(( $$(nproc) < 3 ? $$(nproc) + 1 : 4 ))) --dist worksteal
 
 # Every path is relative, so that the folder's own name may hold spaces.
 BIN := .venv/bin
