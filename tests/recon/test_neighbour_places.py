@@ -78,3 +78,33 @@ def test_pixels_that_are_not_trusted_neither_tell_nor_are_told():
     told, _ = told_by_neighbours(wrong, sd, trusted=trusted, reach_px=reach)
     np.testing.assert_array_equal(told[~trusted], wrong[~trusted])
     assert np.abs((told - true_px)[trusted & (told != wrong)]).max() < 0.05
+
+
+def test_a_map_whose_bend_changes_is_found_by_cubic_surfaces():
+    row, col = np.mgrid[:60, :60].astype(float)
+    slope = 0.22 + 3 * 4e-4 * (col - 30) ** 2
+    true_px = 100.3 + 0.22 * col + 4e-4 * (col - 30) ** 3 + 0.05 * row
+    reach = np.where(slope < 0.6, slope, np.nan)
+    place, sd, flat = seen_through_device_pixels(true_px, np.minimum(slope, 1), np.random.default_rng(4))
+
+    told, told_sd = told_by_neighbours(place, sd, trusted=np.ones(place.shape, dtype=bool), reach_px=reach)
+
+    # Quadratic surfaces through 15 columns would leave 4e-4 · 7.5³ / 5 and more, three sds of what is known.
+    inner = np.s_[15:-15, 15:-15]
+    assert (told_sd < sd)[inner].sum() > 0.9 * flat[inner].sum()
+    error = (told - true_px)[inner]
+    assert np.sqrt((error**2).mean()) < 2 * KNOWN_SD_PX
+
+
+def test_one_pixel_that_is_off_is_no_longer_sure_and_does_not_keep_its_neighbours_from_being_told():
+    row, col = np.mgrid[:60, :60].astype(float)
+    true_px = 100.3 + 0.42 * col + 0.05 * row
+    place, sd, flat = seen_through_device_pixels(true_px, 0.45, np.random.default_rng(5))
+    sure = np.argwhere(~flat[25:35, 25:35])[0] + 25
+    place[tuple(sure)] += 0.4
+    told, told_sd = told_by_neighbours(
+        place, sd, trusted=np.ones(place.shape, dtype=bool), reach_px=np.full(place.shape, 0.45, dtype=np.float32)
+    )
+    about = np.s_[20:40, 20:40]
+    assert (told_sd < sd)[about].sum() > 0.95 * flat[about].sum()
+    assert np.abs((told - true_px) / told_sd)[about].max() < 5
