@@ -28,6 +28,7 @@ MARGIN_BLOCKS = 2
 
 Grid = Float[np.ndarray, "rows cols"]
 Mask = Bool[np.ndarray, "rows cols"]
+Tile = tuple[slice, slice]
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -49,35 +50,45 @@ class BlockSurfaces:
     degree: int
 
     def in_pixels(self, size: tuple[int, int]) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
-        """Return place, sd, share and whether the window is rough for every pixel of a band of that size."""
-        position = (np.arange(self.block_px) - (self.block_px - 1) / 2) * (2 / (3 * self.block_px))
-        terms = np.array([np.outer(position**i, position**j) for i, j in TERMS[self.degree]])
-        shape = tuple(self.block_px * count for count in self.roughness.shape)
-        place = np.einsum("kij,krc->ricj", terms, self.coefficients, optimize=True).reshape(shape)
-        variance = np.zeros(shape)
+        """Return place, sd, share and whether the window is rough for every pixel of a tile of that size."""
+        place = self.places(size)
+        variance = np.zeros(size)
         for k, row in enumerate(self.root):
-            part = np.einsum("kij,krc->ricj", terms[: k + 1], row[: k + 1], optimize=True).reshape(shape)
-            variance += np.square(part, out=part)
-        inner = np.s_[: size[0], : size[1]]
-        widened = self._spread(np.sqrt(np.maximum(self.roughness, 1.0)))
-        sd = np.sqrt(variance, out=variance) * widened
-        return place[inner], sd[inner], self._spread(self.share_px)[inner], self._spread(self.rough)[inner]
+            variance += self._values(row[: k + 1], size) ** 2
+        sd = np.sqrt(variance, out=variance) * self._spread(np.sqrt(np.maximum(self.roughness, 1.0)), size)
+        return place, sd, self._spread(self.share_px, size), self._spread(self.rough, size)
+
+    def places(self, size: tuple[int, int]) -> np.ndarray:
+        """Return the surfaces' places for every pixel of a tile of that size."""
+        return self._values(self.coefficients, size)
 
     def misfit_where_rough(self, size: tuple[int, int]) -> np.ndarray:
-        """Return chi-square for every pixel of a band of that size, infinite where its window is not rough."""
+        """Return chi-square for every pixel of a tile of that size, infinite where its window is not rough."""
         misfit = np.where(self.roughness >= LARGEST_ROUGHNESS, self.misfit, np.inf)
-        return self._spread(misfit)[: size[0], : size[1]]
+        return self._spread(misfit, size)
 
-    def _spread(self, values: np.ndarray) -> np.ndarray:
-        return values.repeat(self.block_px, axis=0).repeat(self.block_px, axis=1)
+    def _values(self, coefficients: np.ndarray, size: tuple[int, int]) -> np.ndarray:
+        """Return for every pixel the polynomial of the first terms with these coefficients."""
+        position = (np.arange(self.block_px) - (self.block_px - 1) / 2) * (2 / (3 * self.block_px))
+        terms = np.array([np.outer(position**i, position**j) for i, j in TERMS[self.degree][: len(coefficients)]])
+        blocks = np.einsum("kij,krc->ricj", terms, coefficients, optimize=True)
+        return blocks.reshape([self.block_px * count for count in self.roughness.shape])[: size[0], : size[1]]
+
+    def _spread(self, values: np.ndarray, size: tuple[int, int]) -> np.ndarray:
+        return values.repeat(self.block_px, axis=0).repeat(self.block_px, axis=1)[: size[0], : size[1]]
 
 
 def block_surfaces(
-    place_px: Grid, sd_px: Grid, usable: Mask, rows: slice, *, block_px: int, degree: int
+    place_px: Grid, sd_px: Grid, usable: Mask, tile: Tile, *, block_px: int, degree: int
 ) -> BlockSurfaces:
-    """Lay the surfaces of a band of rows."""
+    """Lay the surfaces of a tile, whose rows and columns begin with a block; its windows see what lies about it."""
     terms = TERMS[degree]
-    weight, value = _padded(place_px, sd_px, usable, rows, block_px)
+    (rows, row_padding), (cols, col_padding) = (
+        _about(side, size, block_px) for side, size in zip(tile, place_px.shape, strict=True)
+    )
+    weight, value = weight_of(sd_px[rows, cols], usable[rows, cols], block_px), place_px[rows, cols]
+    value = np.pad(np.where(usable[rows, cols], value, 0.0), (row_padding, col_padding))
+    weight = np.pad(weight, (row_padding, col_padding))
     pull = weight * value
     moment = {
         name: _moments(one, block_px, most_power=most)
@@ -118,19 +129,12 @@ def block_surfaces(
     )
 
 
-def _padded(place_px: Grid, sd_px: Grid, usable: Mask, rows: slice, block_px: int) -> tuple[np.ndarray, np.ndarray]:
-    """Return weights and places of a band of rows in whole blocks, with a margin on each side; zeros where unusable."""
-    margin = MARGIN_BLOCKS * block_px
-    above, below = max(rows.start - margin, 0), min(rows.stop + margin, len(place_px))
-    part = slice(above, below)
-    band_rows, cols = -(-(rows.stop - rows.start) // block_px) * block_px, place_px.shape[1]
-    before = above - rows.start + margin
-    padding = (
-        (before, band_rows + 2 * margin - before - (below - above)),
-        (margin, -cols % block_px + margin),
-    )
-    weight = weight_of(sd_px[part], usable[part], block_px)
-    return np.pad(weight, padding), np.pad(np.where(usable[part], place_px[part], 0.0), padding)
+def _about(side: slice, size: int, block_px: int) -> tuple[slice, tuple[int, int]]:
+    """Return a side of a tile with its margins, and how many pixels are missing before and behind to make whole blocks of it."""
+    margin, length = MARGIN_BLOCKS * block_px, side.stop - side.start
+    low, high = max(side.start - margin, 0), min(side.stop + margin, size)
+    before = low - side.start + margin
+    return slice(low, high), (before, length + -length % block_px + 2 * margin - before - (high - low))
 
 
 def weight_of(sd_px: Grid, usable: Mask, block_px: int) -> np.ndarray:

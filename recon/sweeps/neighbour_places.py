@@ -18,7 +18,7 @@ from itertools import product
 
 import numpy as np
 
-from recon.sweeps.block_surfaces import TERMS, Grid, Mask, block_surfaces, weight_of
+from recon.sweeps.block_surfaces import TERMS, Grid, Mask, Tile, block_surfaces, weight_of
 
 # A block's window, it and its eight neighbours, must see some four device pixels, or hardly any footprint in it straddles two;
 # where it knows too little a larger one is asked.
@@ -32,7 +32,7 @@ BEYOND_END_SIGMA = 3.0
 # A pixel that makes so much of its window's chi-square alone is off. That is looked for so many times: one hides another.
 ALONE_SHARE = 0.3
 ALONE_ROUNDS = 3
-BAND_BLOCKS = 16
+TILE_BLOCKS = 32
 
 
 def told_by_neighbours(place_px: Grid, sd_px: Grid, *, trusted: Mask, reach_px: Grid) -> tuple[Grid, Grid]:
@@ -62,40 +62,41 @@ def told_by_neighbours(place_px: Grid, sd_px: Grid, *, trusted: Mask, reach_px: 
     for degree, block_px in product(TERMS, BLOCKS_PX):
         # The largest window is tried whatever the reach.
         smallest_px = WINDOW_REACH_PX / (3 * block_px) if block_px < BLOCKS_PX[-1] else 0.0
-        for rows in _bands(len(place), block_px):
-            asking = waiting[rows] & (reach_px[rows] >= smallest_px)
+        for tile in _tiles(place.shape, block_px):
+            asking = waiting[tile] & (reach_px[tile] >= smallest_px)
             if not asking.any():
                 continue
-            surfaces = block_surfaces(place_px, sd_px, usable, rows, block_px=block_px, degree=degree)
-            own, own_sd = place_px[rows], sd_px[rows].astype(np.float64)
+            surfaces = block_surfaces(place_px, sd_px, usable, tile, block_px=block_px, degree=degree)
+            own, own_sd = place_px[tile], sd_px[tile].astype(np.float64)
             told, told_sd, share, rough = surfaces.in_pixels(own.shape)
             with np.errstate(invalid="ignore"):
                 end = INTERVAL_END_SD * own_sd
                 agreed = asking & ~rough & (FAR_BETTER * np.maximum(told_sd, share) < own_sd)
                 agreed &= np.abs(told - own) < end + BEYOND_END_SIGMA * told_sd
-            np.copyto(place[rows], np.clip(told, own - end, own + end), where=agreed)
-            np.copyto(sd[rows], np.hypot(told_sd, share), where=agreed, casting="same_kind")
-            waiting[rows] &= ~agreed
+            np.copyto(place[tile], np.clip(told, own - end, own + end), where=agreed)
+            np.copyto(sd[tile], np.hypot(told_sd, share), where=agreed, casting="same_kind")
+            waiting[tile] &= ~agreed
     return place, sd
 
 
-def _bands(count: int, block_px: int) -> Iterator[slice]:
-    band = BAND_BLOCKS * block_px
-    return (slice(top, min(top + band, count)) for top in range(0, count, band))
+def _tiles(size: tuple[int, int], block_px: int) -> Iterator[Tile]:
+    tile = TILE_BLOCKS * block_px
+    for top, left in product(range(0, size[0], tile), range(0, size[1], tile)):
+        yield slice(top, min(top + tile, size[0])), slice(left, min(left + tile, size[1]))
 
 
 def _widened_alone(place_px: Grid, sd_px: Grid, usable: Mask, waiting: Mask) -> Grid:
     """Return sds widened by what pixels are off that make most of their small windows' chi-square alone."""
     block_px, sd_px = BLOCKS_PX[0], sd_px.copy()
-    for rows in _bands(len(place_px), block_px):
-        for _ in range(ALONE_ROUNDS if waiting[rows].any() else 0):
-            surfaces = block_surfaces(place_px, sd_px, usable, rows, block_px=block_px, degree=min(TERMS))
-            own = place_px[rows]
-            off = surfaces.in_pixels(own.shape)[0] - own
+    for tile in _tiles(place_px.shape, block_px):
+        for _ in range(ALONE_ROUNDS if waiting[tile].any() else 0):
+            surfaces = block_surfaces(place_px, sd_px, usable, tile, block_px=block_px, degree=min(TERMS))
+            own = place_px[tile]
+            off = surfaces.places(own.shape) - own
             with np.errstate(invalid="ignore"):
-                own_misfit = off**2 * weight_of(sd_px[rows], usable[rows], block_px)
+                own_misfit = off**2 * weight_of(sd_px[tile], usable[tile], block_px)
             alone = own_misfit > ALONE_SHARE * surfaces.misfit_where_rough(own.shape)
             if not alone.any():
                 break
-            np.copyto(sd_px[rows], np.hypot(sd_px[rows], off), where=alone, casting="same_kind")
+            np.copyto(sd_px[tile], np.hypot(sd_px[tile], off), where=alone, casting="same_kind")
     return sd_px
