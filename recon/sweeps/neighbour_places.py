@@ -32,7 +32,8 @@ BEYOND_END_SIGMA = 3.0
 # A pixel that makes so much of its window's chi-square alone is off. That is looked for so many times: one hides another.
 ALONE_SHARE = 0.3
 ALONE_ROUNDS = 3
-TILE_BLOCKS = 32
+# Of whole blocks of every size.
+TILE_PX = 240
 
 
 def told_by_neighbours(place_px: Grid, sd_px: Grid, *, trusted: Mask, reach_px: Grid) -> tuple[Grid, Grid]:
@@ -62,7 +63,7 @@ def told_by_neighbours(place_px: Grid, sd_px: Grid, *, trusted: Mask, reach_px: 
     for degree, block_px in product(TERMS, BLOCKS_PX):
         # The largest window is tried whatever the reach.
         smallest_px = WINDOW_REACH_PX / (3 * block_px) if block_px < BLOCKS_PX[-1] else 0.0
-        for tile in _tiles(place.shape, block_px):
+        for tile in _tiles(place.shape):
             asking = waiting[tile] & (reach_px[tile] >= smallest_px)
             if not asking.any():
                 continue
@@ -79,16 +80,15 @@ def told_by_neighbours(place_px: Grid, sd_px: Grid, *, trusted: Mask, reach_px: 
     return place, sd
 
 
-def _tiles(size: tuple[int, int], block_px: int) -> Iterator[Tile]:
-    tile = TILE_BLOCKS * block_px
-    for top, left in product(range(0, size[0], tile), range(0, size[1], tile)):
-        yield slice(top, min(top + tile, size[0])), slice(left, min(left + tile, size[1]))
+def _tiles(size: tuple[int, int]) -> Iterator[Tile]:
+    for top, left in product(range(0, size[0], TILE_PX), range(0, size[1], TILE_PX)):
+        yield slice(top, min(top + TILE_PX, size[0])), slice(left, min(left + TILE_PX, size[1]))
 
 
 def _widened_alone(place_px: Grid, sd_px: Grid, usable: Mask, waiting: Mask) -> Grid:
     """Return sds widened by what pixels are off that make most of their small windows' chi-square alone."""
     block_px, sd_px = BLOCKS_PX[0], sd_px.copy()
-    for tile in _tiles(place_px.shape, block_px):
+    for tile in _tiles(place_px.shape):
         for _ in range(ALONE_ROUNDS if waiting[tile].any() else 0):
             surfaces = block_surfaces(place_px, sd_px, usable, tile, block_px=block_px, degree=min(TERMS))
             own = place_px[tile]
