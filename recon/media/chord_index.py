@@ -23,12 +23,19 @@ PLACES = np.array([(row, column) for row in (-0.285, 0.285) for column in (-0.34
 VectorMap = Float64[np.ndarray, "rows cols 3"]
 
 
-def index_from_chords(point_mm: VectorMap, liquid: VectorMap, air: VectorMap, *, n_air: float) -> IndexEstimate | None:
+def index_from_chords(
+    point_mm: VectorMap,
+    variance_mm2: Float64[np.ndarray, "rows cols"],
+    liquid: VectorMap,
+    air: VectorMap,
+    *,
+    n_air: float,
+) -> IndexEstimate | None:
     """Return the index that makes the normals stand upright on the surface; None where too little of it is seen.
 
     Parameters
     ----------
-    point_mm : entry points on the camera's grid, NaN where there is none.
+    point_mm, variance_mm2 : entry points on the camera's grid, NaN where there is none, and the traces of their covariances.
     liquid, air : unit directions of the two paths.
     n_air : index of air.
 
@@ -48,7 +55,9 @@ def index_from_chords(point_mm: VectorMap, liquid: VectorMap, air: VectorMap, *,
         return None
     counts, normal = counts[enough], normal[enough]
     fit = np.linalg.solve(normal, right[enough])
-    scatter = _scatter(maps, basis, np.flatnonzero(enough), counts, fit)
+    # Errors that all points of a block share leave no scatter: it is no surer than these say on the mean.
+    stated = _block_means(variance_mm2, rows, cols)[enough]
+    scatter = np.maximum(_scatter(maps, basis, np.flatnonzero(enough), counts, fit), stated)
     shape = np.linalg.inv(normal)
     a, d, spread = [], [], []
     for places, along_row in ((PLACES, True), (PLACES[:, ::-1], False)):
@@ -82,6 +91,13 @@ def _middle_ratio(dependent: np.ndarray, regressor: np.ndarray, certainty: np.nd
     order = np.argsort(ratio)
     share = np.cumsum(weight[order])
     return float(ratio[order[np.searchsorted(share, 0.5 * share[-1])]])
+
+
+def _block_means(values: Float64[np.ndarray, "rows cols"], rows: int, cols: int) -> Float64[np.ndarray, " blocks"]:
+    """Return the means of the values that are known in each block."""
+    blocks = values[: rows * BLOCK_PX, : cols * BLOCK_PX].reshape(rows, BLOCK_PX, cols, BLOCK_PX)
+    known = np.isfinite(blocks).sum(axis=(1, 3))
+    return (np.nansum(blocks, axis=(1, 3)) / np.maximum(known, 1)).ravel()
 
 
 def _cubic_basis() -> Float64[np.ndarray, "pixels terms"]:

@@ -60,12 +60,13 @@ def measured_index(crossing: Crossing, manifest: Manifest) -> MeasuredIndex:
     sound &= crossing.status == PixelStatus.OK
 
     def on_grid(values: np.ndarray) -> np.ndarray:
-        grid = np.full((camera.rows * camera.columns, 3), np.nan)
+        grid = np.full((camera.rows * camera.columns, *values.shape[1:]), np.nan)
         grid[crossing.pixels[sound]] = values[sound]
-        return grid.reshape(camera.rows, camera.columns, 3)
+        return grid.reshape(camera.rows, camera.columns, *values.shape[1:])
 
     chords = index_from_chords(
         on_grid(points.point_mm),
+        on_grid(np.trace(points.covariance, axis1=1, axis2=2)),
         on_grid(crossing.liquid.direction),
         on_grid(crossing.air.direction),
         n_air=manifest.n_air,
