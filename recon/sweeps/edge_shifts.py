@@ -10,6 +10,10 @@ from recon.compiled import compiled
 
 # From a pixel with a window of its own its shift is told to others so far away.
 SPREAD_PX = 6
+# Two places nearer to each other than that (device pixels) make one curve, and nothing shows that it is of two.
+SMALL_JUMP_PX = np.float32(1.5)
+# An edge that goes through a pixel leaves up to half of it to the other side: of the jump, 1/√24 rms.
+JUMP_SHARE = np.float32(0.2)
 
 SmallGrid = Float32[np.ndarray, "rows cols"]
 Mask = Bool[np.ndarray, "rows cols"]
@@ -46,7 +50,7 @@ def _write_means_beside(
 
     Beside it, by how much light that fades as it does towards a pixel may move its place, g·a/12, and a bend, C/24. The bend is
     that of the pixel, its neighbour and the one behind, and counts twice, since it grows outwards. Where it is most of what they
-    differ by, an edge of the map lies between them.
+    differ by, an edge of the map lies between them: of a small jump the pixel may see a share itself.
     """
     rows, cols = told.shape
     for number in range(len(pixels)):
@@ -65,5 +69,7 @@ def _write_means_beside(
                         if 2 * bend <= abs(step) + abs(next_step):
                             apart = 12 * np.float32((near_row - row) ** 2 + (near_col - col) ** 2)
                             doubt = max(doubt, (bend + faded) / apart)
+                        elif bend < SMALL_JUMP_PX:
+                            doubt = max(doubt, JUMP_SHARE * bend)
         if count:
             means[number], doubts[number] = total / np.float32(count), doubt

@@ -183,6 +183,18 @@ def test_what_lies_beyond_a_jump_makes_no_place_unsure():
     assert doubt.max() < 1e-3
 
 
+def test_beyond_a_small_jump_a_place_may_be_a_share_of_it_off():
+    y, x = np.mgrid[:40, :50]
+    place = 30 + 0.4 * x + 0.1 * y + np.where(x > 24, 1.2, 0.0)
+    # A strip that holds no window of its own is told from this side.
+    _, doubt = shifts_of(place, np.full(place.shape, 200, np.float32), trusted=x < 27)
+    # The jump anywhere between the middles of two pixels: its share of either is what lies beyond the border, ½ at most.
+    beyond = np.linspace(0, 1, 10001)
+    share = np.maximum(0.5 - beyond, 0.0)
+    assert doubt[20, 25] == pytest.approx(1.2 * np.sqrt((share**2).mean()), rel=0.05)
+    assert not doubt[4:-4, 3:20].any()
+
+
 def test_decoded_places_are_those_of_centres():
     rng = np.random.default_rng(5)
     row, col = (one.astype(float) for one in np.mgrid[:24, :24])
